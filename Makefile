@@ -17,7 +17,7 @@ INTERFACES := $(shell find interfaces -type f)
 WHEELS := build/wheels/$(PYTHON_VERSION)
 
 .DELETE_ON_ERROR:
-.PHONY: setup demo test test-clients test-quick test-again test-pythons soak reliability fuzz lint style docs tables bench gallery robots mutants lock dist clean experiments known-python
+.PHONY: setup demo test test-all test-clients test-portable test-quick test-again test-pythons soak fuzz lint style docs tables bench gallery robots mutants lock dist clean experiments known-python
 
 setup: $(STAMP)
 	@echo "$(VENV) is ready, with Python $(PYTHON_VERSION). Now try:"
@@ -46,9 +46,9 @@ $(STAMP): pyproject.toml requirements.txt $(ENVIRONMENT) $(WHEELS)/stamp
 	@rm -rf $(VENV)/lib/python3*/site-packages/*.egg-info
 	@$(UV) pip sync --compile-bytecode --python $(BIN)/python --require-hashes requirements.txt
 	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --compile-bytecode --reinstall-package valor-interfaces $(WHEELS)/*.whl
-	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable . --editable bifrost
+	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable . --editable bifrost --editable thesis
 	@# Compiled once and not at every start of every service, even where PYTHONDONTWRITEBYTECODE is set.
-	@$(BIN)/python -m compileall -q bifrost services valor harness tests
+	@$(BIN)/python -m compileall -q bifrost services valor thesis harness tests
 	@touch $@
 
 # Tools that nobody here wrote, which `make test-clients` alone needs.
@@ -86,54 +86,54 @@ demo: $(STAMP)
 # beside them types and what needs no real time, told when both are done. pytest keeps what it has compiled for the next run, even
 # where PYTHONDONTWRITEBYTECODE is set.
 PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --durations 10
-# What a robot's users do and bring, and what takes longer: demos, experiments, films, changes by the book, robots of their own,
-# many pushes, stairs, browsers, another DDS, readers of bags, launch files, MoveIt, arms on a bus, other computers, and no checkout.
-CLIENTS := $(addprefix tests/integration/,others_tools $(patsubst %,test_%.py,adding_a_robot calibrating demo_task demo_walk deployment_document \
-  escher_steps experiments getting_up installed late_goals legs_alone link link_ends link_fast operator_commands operator_page \
-  operator_beyond operator_linked operator_recorded operator_viewers hdt_arms hosts hosts_link hosts_link_robot hosts_robot other_computers thor_hardware \
-  two_robots wheels) valorctl/test_whole_system.py $(patsubst %,vrc/test_%.py,bypass moveit nodes other_dds)) \
-  $(patsubst %,tests/unit/%.py,robot_setup/test_new_robot test_experiment_end_effector test_extending test_film test_moveit_package \
-  test_valorctl_robots whole_body/test_recovery whole_body/test_robots_walk) tests/bifrost/test_computers.py tests/bifrost/test_growth.py
-ELSEWHERE := $(addprefix --ignore ,$(CLIENTS))
+# Client tests take longer: what users do and bring, by the table in .ci/clients.
+CLIENTS = $(or $(shell $(PYTHON) -B .ci/clients all),$(error no client tests: see .ci/clients))
+ELSEWHERE = $(addprefix --ignore ,$(CLIENTS))
 # Each run in a folder of its own remembers what failed, for test-again.
 REMEMBERED := $(VENV)/pytest
-QUICK := $(PYTEST) -o cache_dir=$(REMEMBERED)/quick -n 2 --dist worksteal tests/unit tests/bifrost tests/conformance $(ELSEWHERE)
+QUICK = $(PYTEST) -o cache_dir=$(REMEMBERED)/quick -n 2 --dist worksteal tests/unit tests/thesis tests/bifrost tests/conformance $(ELSEWHERE)
 test: $(STAMP) style
 	@mkdir -p build; { types=0; $(BIN)/mypy || types=1; $(QUICK) && exit $$types; } >build/tests.log 2>&1 & rest=$$!; status=0; \
 	$(PYTEST) -o cache_dir=$(REMEMBERED)/robot tests/integration $(ELSEWHERE) || status=1; \
 	wait $$rest || status=1; \
 	cat build/tests.log; exit $$status
 
-# Before tools that nobody here wrote; those that need a browser are skipped where there is no Chromium.
+# Client tests whose subject has changed since the commit in .ci/clients-passed; CHANGED=all runs every one of them. Those that need a
+# browser are skipped where there is no Chromium.
+CHANGED ?= changed
 test-clients: $(STAMP) $(STOCK)
-	$(PYTEST) -o cache_dir=$(REMEMBERED)/clients $(CLIENTS)
+	@chosen=$$($(BIN)/python -B .ci/clients $(CHANGED)); \
+	if [ -z "$$chosen" ]; then echo "no client test depends on what has changed since .ci/clients-passed"; exit; fi; \
+	echo "$(PYTEST) $$chosen"; $(PYTEST) -o cache_dir=$(REMEMBERED)/clients $$chosen
+
+# Every test; if all pass on a clean working tree, records the commit for test-clients.
+test-all: test
+	$(MAKE) test-clients CHANGED=all
+	@$(BIN)/python -B .ci/clients passed
 
 # Those alone that need no whole robot.
 test-quick: $(STAMP)
 	$(QUICK)
 
+# Tests that a Python version can break: messages, files, command lines, processes.
+test-portable: $(STAMP)
+	$(PYTEST) -o cache_dir=$(REMEMBERED)/quick -n 2 --dist worksteal -m portable tests/unit tests/bifrost tests/conformance
+
 # Those alone that failed when they were last run by one of the above.
 test-again: $(STAMP)
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 .ci/again $(BIN)/python $(REMEMBERED)
 
-# Lint and the quick tests on every other Python that is found here.
+# Tests marked `portable`, on every other Python found here.
 test-pythons: $(STAMP)
 	.ci/pythons $(PYTHON_VERSION) $(PYTHONS)
 
-# A robot for MINUTES, or STEPS, that is told all sorts of things while all sorts of things happen to it; ends with a table,
-# and with how to see again what failed. FIRST is the step to begin with; CYCLES=20 is that often up and down, and nothing else.
+# A robot under random commands and failures for MINUTES or STEPS; prints a table and the command that repeats a failed step. FIRST is the
+# first step; ROWS="walking/kill\ motion_manager" runs only these, TIMES each. Source of docs/reliability.md.
 MINUTES ?= 60
 PROFILE ?= sim
 soak: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --minutes $(MINUTES) --seed $(or $(SEED),0) --profile $(PROFILE) \
-	  --first $(or $(FIRST),0) --out $(MEASURED) $(if $(STEPS),--steps $(STEPS)) $(if $(CYCLES),--cycles $(CYCLES))
-
-# The rows of docs/reliability.md (hours, in pieces of MINUTES: it goes on with what was measured least; ROWS="'walking/kill
-# motion_manager'" for some), into a file from which `python -m tests.soak.rows` makes the document's tables.
-MEASURED := build/reliability.jsonl
-reliability: $(STAMP)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.soak --profile $(PROFILE) --times $(or $(TIMES),5) --minutes $(MINUTES) \
-	  --seed $(or $(SEED),0) --out $(MEASURED) --rows $(ROWS)
+	  --first $(or $(FIRST),0) $(if $(STEPS),--steps $(STEPS)) $(if $(ROWS),--rows $(ROWS) --times $(or $(TIMES),5))
 
 lint: style
 	$(BIN)/mypy
@@ -147,7 +147,7 @@ style: $(STAMP)
 
 # What is written out of the tables of topics and processes, and of the messages.
 tables: $(STAMP)
-	$(BIN)/python -m valor.common.generate
+	$(BIN)/python -m harness.generate
 
 # The documentation as a site, in build/site: links that lead nowhere, and pages that no menu has, are errors.
 DOCS = NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
@@ -161,23 +161,20 @@ FUZZ ?= 20
 fuzz: $(STAMP)
 	$(UV) pip install --quiet --python $(BIN)/python --group fuzz
 	OPENBLAS_NUM_THREADS=1 FUZZ=$(FUZZ) $(BIN)/python -m pytest -n 2 --dist worksteal --timeout 7200 -m hypothesis \
-	  tests/unit tests/conformance tests/bifrost
+	  tests/unit tests/thesis tests/conformance tests/bifrost
 
 # Numbers for docs/performance.md; never part of the tests.
 bench: $(STAMP)
-	$(UV) pip install --quiet --python $(BIN)/python --group bench
-	$(BIN)/python benchmarks/ipc.py
 	$(BIN)/python benchmarks/control.py
 	$(BIN)/python benchmarks/standing.py
 	$(BIN)/python benchmarks/pathways.py
 	$(BIN)/python -m benchmarks.hosts
-	$(BIN)/python benchmarks/threads.py
-	$(BIN)/python benchmarks/walking.py --quick
+	$(BIN)/python -m benchmarks.walking --quick
 
 # docs/experiments: chapter 5 of the thesis on emulated devices, in some 45 minutes on a computer that does nothing else.
 # Bags, CSV and the report, also of a run in which something failed, are in build/experiments.
 experiments: $(STAMP)
-	$(BIN)/valorctl experiment all --profile hardware --clock realtime --beside --out build/experiments
+	$(BIN)/valorctl experiment all --profile hardware --clock realtime --with-clients --out build/experiments
 	rm -f docs/experiments/*
 	cp build/experiments/report/README.md build/experiments/report/*.webp docs/experiments/
 
@@ -209,7 +206,7 @@ lock: $(ENVIRONMENT)
 # Source distributions, and the wheels that they build into; that of the message packages, for .venv's Python alone, is there.
 dist: $(STAMP)
 	rm -rf dist
-	for project in . bifrost; do $(UV) build --quiet --python $(BIN)/python $$project -o dist; done
+	for project in . bifrost thesis; do $(UV) build --quiet --python $(BIN)/python $$project -o dist; done
 	$(UV) build --quiet --sdist --python $(BIN)/python --require-hashes \
 	  --build-constraints interfaces/build-constraints.txt interfaces -o dist
 	cp $(WHEELS)/*.whl dist

@@ -1,4 +1,4 @@
-"""Cables of a robot's hosts pulled and put back, hosts without power, agents killed: what happens, what is obeyed.
+"""Cables of a robot's hosts pulled and put back, hosts without power, ssh servers killed: what happens, what is obeyed.
 
 Three network namespaces stand for the hosts. Before the fault the robot is brought to a behavior; while it lasts an
 operator's ROS 2 program goes on sending: commands of one kind, the last at least 1.5 s before the fault ends (with
@@ -6,8 +6,8 @@ shorter ones: once, at its beginning). What of them the Motion Manager obeys aft
 old is in time.
 
     cable   the host's cable is out
-    power   its cable is out, all of its processes are killed; then ``valorctl host agent`` begins it again
-    agent   its agent alone is killed, and begun again
+    power   its cable is out, all of its processes are killed; then ``valorctl host resume`` starts them again
+    ssh     only its ssh server is killed, and started again
 
 It ends with a table, a row a fault: the behavior when the fault ends and in the end, whether the robot stayed on its
 feet, how long until every process is ready, what was sent, whether any of it was obeyed late, what became of it for
@@ -17,7 +17,7 @@ that is not as it should be the robot is started anew. Exit status 0: all are as
 With ``--into FILE`` each row is appended there, and those that it has are not measured again: so the matrix can be had
 in pieces.
 
-    .venv/bin/python -m benchmarks.cables [--faults cable power agent] [--seconds 0.2 2 20]
+    .venv/bin/python -m benchmarks.cables [--faults cable power ssh] [--seconds 0.2 2 20]
         [--hosts motion perception operator] [--behaviors …] [--into FILE] [--at-most 10]
 """
 
@@ -48,7 +48,7 @@ from harness.hosts import Hosts, deployment_text, hosts
 
 INSTANCE = "cables"
 NAMES = ("motion", "perception", "operator")
-FAULTS = ("cable", "power", "agent")
+FAULTS = ("cable", "power", "ssh")
 HEALED = 90.0  # [s]
 STALE = 1.5  # at the least, of what is sent while the fault lasts, once it is over [s]
 AFTER = 3.0  # looked at behind everything being ready [s]
@@ -85,10 +85,10 @@ class Row(msgspec.Struct):
 
     @property
     def late(self) -> str:
-        """Whether anything was obeyed that was sent while the fault lasted."""
+        """Effect of the commands sent while the fault lasted: "no", "in time" or "yes", with counts."""
         if self.arrived <= self.refused:
             return "no"
-        in_time = self.seconds < STALE or self.fault == "agent"  # which nothing waits for
+        in_time = self.seconds < STALE or self.fault == "ssh"  # which nothing waits for
         return "in time" if in_time else f"yes ({self.arrived}, {self.refused} refused)"
 
     @property
@@ -122,8 +122,8 @@ class Bench:
         self._hosts = computers
         self._file = computers.folder / "tap.jsonl"
         self._file.touch()
-        self._tap = self._run("motion", "benchmarks.cable_tap", str(self._file))
-        self._operator = self._run("operator", "benchmarks.cable_operator")
+        self._tap = self._run("motion", "tap", str(self._file))
+        self._operator = self._run("operator", "operate")
         assert self._operator.stdout is not None
         self._operator.stdout.readline()
         while self._say("known") != "True":
@@ -135,10 +135,10 @@ class Bench:
             process.kill()  # they hold nothing
             process.wait()
 
-    def _run(self, host: str, module: str, *more: str) -> subprocess.Popen[str]:
+    def _run(self, host: str, role: str, *more: str) -> subprocess.Popen[str]:
         home = self._hosts.home(host)
         return subprocess.Popen(
-            self._hosts.command(host, sys.executable, "-m", module, str(home), INSTANCE, *more),
+            self._hosts.command(host, sys.executable, "-m", "benchmarks.cable_ends", role, str(home), INSTANCE, *more),
             env=self._hosts.environment(host) | {"PYTHONPATH": str(Path(__file__).parents[1])},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -202,17 +202,19 @@ class Bench:
                 raise ValueError(f"{case.begin}: not obeyed within {BEGUN:g} s")
 
     def _begin(self, fault: str, host: str) -> None:
-        if fault != "agent":
+        if fault != "ssh":
             self._hosts.network.pull(host)  # nobody hears of it: without power nothing is closed
         if fault == "power":
             self._hosts.cut_power(host)
-        if fault == "agent":
-            self._hosts.kill_agent(host)
+        if fault == "ssh":
+            self._hosts.kill_ssh(host)
 
     def _end(self, fault: str, host: str) -> None:
         self._hosts.network.plug(host)
-        if fault != "cable":
-            self._hosts.start_agent(host)
+        if fault == "power":
+            self._hosts.restore_power(host)
+        if fault == "ssh":
+            self._hosts.start_ssh(host)
 
     def suffer(self, fault: str, host: str, case: Case, seconds: float) -> Row:
         """One fault.

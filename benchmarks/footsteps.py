@@ -23,11 +23,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy
 
 from harness.closed_loop import load_robot
 from valor.common.poses import level
-from valor.rehearsal.plan_walk import Walked, walk_plan
 from valor.robot.motion_tables import Footsteps
 from valor.robot.step_plan import FEET, PlanStep, load
+from valor.self_test.plan_walk import Walked, walk_plan
 from valor.simulation import worlds
-from valor.simulation.worlds.stairs import Stairs
+from valor.simulation.worlds.courses import Stairs
 
 PLANS = Path(__file__).parents[1] / "examples" / "plans"
 WORLD = {"stairs": "stairs"}  # of a plan; all others: flat
@@ -126,7 +126,7 @@ def steps_of(moves: Sequence[Move], first_foot: int = 0) -> list[PlanStep]:
         x, y, z = stance.position
         steps.append(
             PlanStep(
-                foot=FEET[foot],  # type: ignore[arg-type]
+                foot=FEET[foot],
                 x=x,
                 y=y,
                 z=z,
@@ -152,7 +152,7 @@ def up_and_down(up: float, down: float) -> tuple[str, list[PlanStep]]:
 
 
 def good(walked: Walked) -> bool:
-    """Whether a plan was walked as asked."""
+    """Return whether a plan was walked as asked."""
     far, turned = walked.believed
     return walked.done and far <= GOOD[0] and turned <= GOOD[1]
 

@@ -19,7 +19,7 @@ from valor.analysis.film import moments
 from valor.analysis.film.moments import STATE
 from valor.common.instance import Instance
 from valor.common.topics import MOTION_STATE
-from valor.valorctl.node import hear, join
+from valor.valorctl.drive.node import join, next_message
 
 _ROOT = Path(__file__).resolve().parents[1]
 _PAGE = _ROOT / "docs" / "gallery.md"
@@ -72,10 +72,10 @@ class Script:
         """Wait for so much robot time; returns what it is then [s]."""
         with join(Instance.from_environment(_INSTANCE)) as node:
             states = MOTION_STATE.subscriber(node)
-            until = now = hear(MOTION_STATE, states, _SILENT).time
+            until = now = next_message(MOTION_STATE, states, _SILENT).time
             until += round(1e9 * seconds)
             while now < until:
-                now = hear(MOTION_STATE, states, _SILENT).time
+                now = next_message(MOTION_STATE, states, _SILENT).time
         return 1e-9 * now
 
     def video(self, behaviors: Collection[str], *words: object, within: tuple[float, float] = _ALWAYS) -> None:

@@ -5,8 +5,8 @@
 prints a table; ``--goals 4 --seeds 1`` is quick. Trials: ``joints`` (arms to random postures by set-points), ``poses``
 (hands to random poses in odom, in front, at the side and behind; errors are of those that are told to be reached, and
 states count all),
-``walk`` (a pose in odom that the robot walks past at 0.3 m/s), ``push`` (a pose in odom, pushed by 15 N·s), ``survive``
-(the same, pushed harder and harder). Errors are of the true hand in the world from the goal; odom is where the soles
+``walk`` (a pose in odom that the robot walks past at 0.3 m/s).
+Errors are of the true hand in the world from the goal; odom is where the soles
 stood when the estimate began. ``--off`` is without compensation of the arms' servos, and what it is compared with.
 ``--worn`` draws play, friction and masses of the arms from the seed (``harness.worn_arms``); ``--calibrate POSES`` does
 every trial again with the arms calibrated, as ``valorctl calibrate arm`` does. "On the way" the hand is compared with
@@ -28,35 +28,56 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.pushes import forked
 from bifrost import Received
-from harness.calibrating_robot import calibrate
 from harness.closed_loop import load_robot
 from harness.manipulating_robot import ManipulatingRobot
 from harness.worn_arms import WORN, calibrated
 from harness.worn_arms import worn as wear_out
+from thesis.experiments.arm_goals import ArmGoals
+from valor.calibration.identify import Found, identify
+from valor.calibration.poses import Poses
+from valor.calibration.record import Recorder
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
-from valor.common.messages import VelocityCommand
-from valor.motion_manager.handlers.velocity import VelocityHandler
-from valor.robot.arm_goals import ArmGoals
+from valor.common.messages import Motor, VelocityCommand
+from valor.motion_manager.handlers.motion import VelocityHandler
 from valor.robot.description import RobotDescription
+from valor.robot.model import full_model
 from valor.robot.tables import Side
+
+REST = 0.3  # in a pose [s]
+
+
+def calibrate(bench: ManipulatingRobot, group: str, poses: int) -> Found:
+    """Bring an arm through poses and back, and find what it is; sensors and commands alone are looked at."""
+    robot, parts = bench.robot, bench.manager.components
+    chooser = Poses(full_model(robot, "collision"), group, parts.reference.position)
+    arm = robot.group_indices(group)
+    recorder = Recorder(robot)
+    motors: dict[int, Motor] = {}
+
+    def listen() -> None:
+        motors[bench.motor.sequence] = bench.motor
+        acting = motors.get(bench.measured.motor_sequence)
+        if acting is not None and parts.state is not None:
+            recorder.add(bench.measured, acting, parts.state.pelvis_orientation_in_odom)
+
+    bench.each = listen
+    for _ in range(poses):
+        bench.follow(arm, chooser.next())
+        bench.run(REST)
+    for goal in chooser.back(parts.reference.position[arm], poses):
+        bench.follow(arm, goal)
+    bench.each = None
+    return identify(full_model(robot), group, recorder.record(), poses)
+
 
 SIDES: tuple[Side, Side] = ("left", "right")
 SETTLED = 5.0  # from a goal to what is measured [s]
 MEASURED = 0.5  # over which it is [s]
 LOOK = 10  # periods between looks on the way
 SPEED = 0.3  # of the walk [m/s]
-IMPULSE = 15.0  # [N·s]
-PUSHES = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
-HARD = {  # [N·s]
-    "forward": (50, 55, 60, 65),
-    "back": (45, 50, 55, 60),
-    "left": (30, 35, 40, 45),
-    "right": (30, 35, 40, 45),
-}
 
 
 @dataclass
@@ -113,7 +134,7 @@ def lag(bench: ManipulatingRobot, arms: npt.NDArray[np.intp], sides: tuple[int, 
     """How far hands are from where the set-points have them on the base as it is, now and then [m]."""
     model, data = bench.plant.model, mujoco.MjData(bench.plant.model.mj)
     places = np.arange(model.mj.nq)[model.qpos][arms]
-    reference = bench.manager.parts.reference
+    reference = bench.manager.components.reference
     lags: list[float] = []
     periods = itertools.count()
 
@@ -134,10 +155,10 @@ def poses(bench: ManipulatingRobot, goals: ArmGoals, sides: tuple[int, ...], cou
     """Hands to random poses in odom, held for a while."""
     for _ in range(count):
         drawn = {side: goals.draw(SIDES[side], bench.plant.joint_position) for side in sides}
-        wanted = {side: bench.in_odom(goal.place, goal.turn) for side, goal in drawn.items()}
+        wanted = {side: bench.in_odom(goal.position, goal.rotation) for side, goal in drawn.items()}
         for side, goal in wanted.items():
             bench.send(side, *goal)
-        goals_of = bench.manager.parts.hand_goals
+        goals_of = bench.manager.components.hand_goals
         bench.run(1.0)
         bench.run_until(lambda: all(goals_of.status(side, 0).state != "moving" for side in sides), 12.0)  # noqa: B023
         bench.run(1.0)
@@ -147,7 +168,7 @@ def poses(bench: ManipulatingRobot, goals: ArmGoals, sides: tuple[int, ...], cou
             for side, goal in wanted.items():
                 over[side].note(bench, side, goal)
         for side in sides:
-            status = bench.manager.parts.hand_goals.status(side, 0)
+            status = bench.manager.components.hand_goals.status(side, 0)
             errors.states.append(status.state)
             errors.said.append(abs(over[side].hand[-1] - status.position_error))
             if status.state == "reached":
@@ -181,7 +202,7 @@ def walk(bench: ManipulatingRobot, goals: ArmGoals, sides: tuple[int, ...], coun
 def ask_to_walk(bench: ManipulatingRobot) -> None:
     """Once more."""
     command = VelocityCommand(bench.manager.time, SPEED, 0.0, 0.0)
-    VelocityHandler.of(bench.manager.parts).handle(Received(command, 0, 1, "benchmark"), bench.manager.time)
+    VelocityHandler(bench.manager.components).handle(Received(command, 0, 1, "benchmark"), bench.manager.time)
 
 
 def rest(bench: ManipulatingRobot, errors: Errors) -> None:
@@ -190,7 +211,7 @@ def rest(bench: ManipulatingRobot, errors: Errors) -> None:
         errors.failures.append(bench.manager.fsm.reason)
         raise SystemExit(bench.manager.fsm.reason)
     for side in range(2):
-        bench.manager.parts.hand_goals.release(side, "over")
+        bench.manager.components.hand_goals.release(side, "over")
     for behavior in (Behavior.WALK, Behavior.STAND):
         assert not bench.ask(behavior)
         bench.run(3.0)
@@ -198,45 +219,10 @@ def rest(bench: ManipulatingRobot, errors: Errors) -> None:
     bench.run(1.0)
 
 
-def push(bench: ManipulatingRobot, goals: ArmGoals, sides: tuple[int, ...], count: int, errors: Errors) -> None:
-    """A hand holds a pose in odom while the chest is pushed, from all sides in turn."""
-    for k in range(count):
-        side = sides[k % len(sides)]
-        goal = before(bench, side, 0.42)
-        bench.send(side, *goal)
-        bench.run(SETTLED)
-        moments = Errors()
-        bench.plant.push(IMPULSE * np.array((*list(PUSHES.values())[k % 4], 0.0)), 0.1)
-        for _ in range(round(3.0 / bench.robot.control_period)):
-            bench.step()
-            moments.note(bench, side, goal)
-        errors.worst_of(moments)
-        if bench.behavior is Behavior.FALL:
-            errors.failures.append(bench.manager.fsm.reason)
-            return
-
-
-def survive(bench: ManipulatingRobot, goals: ArmGoals, sides: tuple[int, ...], count: int, errors: Errors) -> None:
-    """A hand holds a pose in odom while the chest is pushed harder and harder, each time from the same moment."""
-    bench.send(sides[0], *before(bench, sides[0], 0.42))
-    bench.run(SETTLED)
-    for direction, impulses in HARD.items():
-        for impulse in impulses:
-            errors.states.append(forked(_survives, bench, impulse * np.array((*PUSHES[direction], 0.0))))
-
-
-def _survives(bench: ManipulatingRobot, impulse: FloatArray) -> str:
-    bench.plant.push(impulse, 0.1)
-    bench.run(4.0)
-    return "fell" if bench.behavior is Behavior.FALL else "survived"
-
-
 TRIALS: dict[str, Callable[[ManipulatingRobot, ArmGoals, tuple[int, ...], int, Errors], None]] = {
     "joints": joints,
     "poses": poses,
     "walk": walk,
-    "push": push,
-    "survive": survive,
 }
 
 

@@ -18,19 +18,59 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.tables import table as titled
-from harness.link_bag import states
+from harness.emulated_channel import DRC_FAST, DRC_SLOW, Conditions, drc_windows
 from harness.link_pair import Pair
 from harness.places import ROBOTS
-from valor.link.classes import BY_KIND, HEADERS, ROBOT, Kind
+from valor.analysis.reading.bag import Bag
+from valor.common.arrays import FloatArray
+from valor.common.instance import LINK_RATE
+from valor.link.classes import BY_CLASS, HEADERS, MessageClass, rates
 from valor.link.codec import Codec, Sender
-from valor.link.emulator import DRC_FAST, DRC_SLOW, Conditions
 from valor.link.errors import SealError
 from valor.link.fields import Layout
-from valor.link.schedule import drc_windows
 from valor.link.session import OVERHEAD
 from valor.link.state import RobotState
 from valor.robot.description import RobotDescription
+from valor.ros.limbs import FEET, WRENCH
 
+
+def states(file: Path, robot: RobotDescription, rate: float) -> list[RobotState]:
+    """Those of a bag, ``rate`` a second of robot time."""
+    bag = Bag(file)
+    joints, odometry, mode = bag["/joint_states"], bag["/odom"], bag["/flor/controller/mode"]
+    motion = bag["/flor/controller/motion_state"]
+    feet = [bag[f"/{WRENCH.format(foot)}"] for foot in FEET]
+    order = [joints.messages[0].name.index(name) for name in robot.joints]
+    start, end = joints.time[0], joints.time[-1]
+    found = []
+    for now in np.arange(start + 0.5, end, 1.0 / rate):
+        at = {each.topic: int(np.searchsorted(each.time, now, side="right")) - 1 for each in
+              (joints, odometry, mode, motion, *feet)}  # fmt: skip
+        last = {each.topic: each.messages[max(at[each.topic], 0)] for each in (joints, odometry, mode, motion, *feet)}
+        pose, twist = last["/odom"].pose.pose, last["/odom"].twist.twist
+        wrenches = [last[each.topic].wrench for each in feet]
+        told = last[mode.topic]
+        found.append(RobotState(
+            joints=np.asarray(last["/joint_states"].position)[order],
+            clock=round(1e3 * now), stamp=round(1e3 * joints.time[at["/joint_states"]]),
+            base_position=_vector(pose.position),
+            base_orientation=np.array((pose.orientation.w, *_vector(pose.orientation))),
+            base_velocity=_vector(twist.linear), base_turn=_vector(twist.angular),
+            foot_forces=np.concatenate([_vector(each.force) for each in wrenches]),
+            foot_torques=np.concatenate([_vector(each.torque) for each in wrenches]),
+            mode=told.current_control_mode, requested_mode=told.requested_control_mode, mode_status=told.status,
+            mode_age=min(1.0, now - mode.time[max(at[mode.topic], 0)]), behavior=last[motion.topic].behavior,
+            behavior_age=0.05, contacts=int(last[motion.topic].contacts[0]) + 2 * int(last[motion.topic].contacts[1]),
+            fault_level=0,
+        ))  # fmt: skip
+    return found
+
+
+def _vector(each: object) -> FloatArray:
+    return np.array([getattr(each, axis) for axis in "xyz"])
+
+
+ROBOT = rates(LINK_RATE, True)
 RATE = 10.0  # of states in the recording [Hz]
 _PROGRESS = {"plan": (20, 200), "step": (1, 53), "hand": (2, 20)}  # every so many seconds so many bytes
 BEHIND = 5  # states, until one is acknowledged
@@ -68,7 +108,7 @@ def sizes(recorded: list[RobotState], layout: Layout) -> None:
     show("A state", head, rows)
 
 
-def rates(recorded: list[RobotState], layout: Layout, fast: bool) -> None:
+def loads(recorded: list[RobotState], layout: Layout, fast: bool) -> None:
     """Bytes a second by class over a recording, of a robot that is kept busy.
 
     Every 10 s a goal of an arm or a plan, and a mode change; a step begins every second, every two a hand's goal says
@@ -82,12 +122,12 @@ def rates(recorded: list[RobotState], layout: Layout, fast: bool) -> None:
     chance, told = random.Random(1), dict.fromkeys(_PROGRESS, 0)
     for second in range(60):
         if second % 10 == 0:
-            link.operator.send(Kind.COMMAND, chance.randbytes(250), link.now)
-            link.operator.send(Kind.COMMAND, b"mode", link.now)
+            link.operator.send(MessageClass.COMMAND, chance.randbytes(250), link.now)
+            link.operator.send(MessageClass.COMMAND, b"mode", link.now)
         for name, (period, size) in _PROGRESS.items():
             if second % period == 0:
                 content = chance.randbytes(size)
-                told[name] = link.robot.renew(Kind.PROGRESS, content, link.robot_time, told[name])
+                told[name] = link.robot.replace(MessageClass.PROGRESS, content, link.robot_time, told[name])
         link.run(1.0)
     lasted = link.now - began
     rows = []
@@ -117,17 +157,17 @@ def cuts(layout: Layout, count: int, seed: int) -> None:
     while link.now < at + 10.0:
         link.step()
         if (state := link.operator.state) is not None:
-            true = link.robot_time - (state.clock / 1e3 + link.robot._born)
+            true = link.robot_time - (state.clock / 1e3 + link.robot._started)
             flattered += link.operator.age(link.now) < true - 2e-3
         if chance.random() < 0.02:
             content = str(len(sent)).encode()
             try:
-                link.operator.send(Kind.COMMAND, content, link.now)
+                link.operator.send(MessageClass.COMMAND, content, link.now)
             except SealError:
                 continue
             sent[content] = link.now
     counts = Counter(content for _, _, content in link.executed)
-    lasts = BY_KIND[Kind.COMMAND].deadline or 0.0
+    lasts = BY_CLASS[MessageClass.COMMAND].deadline or 0.0
     late = sum(when - sent[content] > lasts + 0.05 for when, _, content in link.executed)
     rows = [[count, f"{link.now:.0f}", len(sent), len(counts), len(link.refused), len(sent) - len(counts),
              sum(each > 1 for each in counts.values()), late, flattered]]  # fmt: skip
@@ -146,8 +186,8 @@ def main() -> None:
     layout = Layout(robot)
     recorded = states(asked.bag, robot, RATE)
     sizes(recorded, layout)
-    rates(recorded, layout, fast=False)
-    rates(recorded, layout, fast=True)
+    loads(recorded, layout, fast=False)
+    loads(recorded, layout, fast=True)
     cuts(layout, asked.cuts, asked.seed)
 
 

@@ -24,21 +24,20 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Step
 
 from benchmarks.link import show
+from harness.emulated_channel import DRC_FAST, DRC_SLOW, drc_windows
+from harness.link_emulator import Emulator
 from harness.places import ROBOTS
 from harness.system import RosClient, running
 from harness.waiting import wait_until
-from valor.analysis.bag import Bag
+from valor.analysis.reading.bag import Bag
 from valor.common.arrays import FloatArray
 from valor.common.instance import Instance
 from valor.common.linking import robot_ports
 from valor.common.messages import ModeStatus
-from valor.link.emulate import Emulator
-from valor.link.emulator import DRC_FAST, DRC_SLOW
 from valor.link.fields import BY_NAME, JOINT_STEP
-from valor.link.schedule import drc_windows
 from valor.robot.description import RobotDescription
-from valor.ros.relayed import Deflated
-from valor.valorctl.ros_domain import reserve
+from valor.ros.link_messages import MessageCodec
+from valor.valorctl.instance.ros_domain import reserve
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
@@ -104,7 +103,7 @@ def walk(operator: RosClient, seen: Seen) -> tuple[int, list[float]]:
     """Approve the plans one after the other; bytes of one, and how long each took [s]."""
     action = operator._call(ActionClient, operator.node, ExecuteStepPlan, TOPIC)
     assert action.wait_for_server(timeout_sec=60.0)
-    size = len(Deflated(RobotDescription.load(ROBOTS / "escher")).pack(plan()))
+    size = len(MessageCodec(RobotDescription.load(ROBOTS / "escher")).pack(plan()))
 
     def told(_: Any) -> None:
         seen.feedback += 1
@@ -173,7 +172,7 @@ def report(seen: Seen, began: float, ended: float, emulator: Emulator, bag: Bag)
          f"{np.percentile(told, 99):.2f}", f"{told.max():.2f}"],
     ])  # fmt: skip
     show("Errors", ["", "states", "mean", "worst", "bound"], errors(seen, bag))
-    keys = sorted({key for _, values in seen.links for key in values if key.startswith(("sent.", "heard."))})
+    keys = sorted({key for _, values in seen.links for key in values if key.startswith(("sent.", "received."))})
     within = [values for at, values in seen.links if began <= at <= ended]
     rows = [[key, f"{np.mean([float(v.get(key, '0').split()[0]) for v in within]):.0f}"] for key in keys]
     show("Bytes a second at the operator's end, slow channel, headers included", ["", "B/s"], rows)

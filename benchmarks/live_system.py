@@ -5,22 +5,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 import bifrost
-from benchmarks.observer import Observer
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import PushRequest
 from valor.common.topics import PUSH
-from valor.robot.description import RobotDescription
-from valor.valorctl import control_mode
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
 SETTLING = 3.0  # from the servos' posture to the controller's, after `up` [robot time, s]
@@ -65,56 +60,3 @@ def push(node: bifrost.Node, impulse: tuple[float, float, float]) -> None:
     reply = client.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=10.0)
     if not reply.accepted:
         raise ValorError(f"push refused: {reply.reason}")
-
-
-@dataclass(frozen=True)
-class System:
-    """One running system, and who listens to it.
-
-    Attributes:
-        up: how long it took to start [s].
-    """
-
-    instance: Instance
-    node: bifrost.Node
-    observer: Observer
-    up: float
-
-    def mode(self, name: str) -> None:
-        """Go to a control mode.
-
-        Raises:
-            ValorError: it is refused.
-        """
-        change = control_mode.change(self.instance, name, check=self.observer.hear)
-        if not change.reached:
-            raise ValorError(change.describe())
-
-    def push(self, impulse: tuple[float, float, float]) -> None:
-        """Push the chest for 0.1 s [N·s].
-
-        Raises:
-            ValorError: it is refused.
-        """
-        push(self.node, impulse)
-
-
-@contextmanager
-def running(instance: Instance, options: dict[str, object], tell: Callable[[str], None]) -> Iterator[System]:
-    """A system of ``valorctl up`` with options, standing on its controller; taken down behind.
-
-    Args:
-        instance: to be started.
-        options: of ``up``, without their dashes.
-        tell: told where the robot is.
-
-    Raises:
-        ValorError: it does not start; in the context: it fell silent.
-    """
-    began = time.monotonic()
-    with started(instance, *(str(each) for name, value in options.items() for each in (f"--{name}", value))) as node:
-        up = time.monotonic() - began
-        robot = RobotDescription.load(instance.settings().robot)
-        observer = Observer(node, robot, tell)
-        observer.wait(lambda _: False, SETTLING)
-        yield System(instance, node, observer, up)

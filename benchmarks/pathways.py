@@ -1,7 +1,7 @@
-"""How long a message takes through the Valor ROS Controller on a live system, and what the VRC costs (thesis 5.1, 5.2).
+"""Latency of messages through the Valor ROS Controller on a live system.
 
-Starts the whole system with ``valorctl up``, then measures three pathways and, in the same run, their floor: the same
-payloads from one bare process to another, over pyzmq (no CURVE, no checks) and over rclpy.
+Starts the whole system with ``valorctl up``, then measures three pathways. The thesis package's
+``valorctl experiment pathway-latency`` does so from a bag, with the floor of the transports.
 
     state             Proprioceptor sent ─► /joint_states of the same robot time received
     mode change       action goal sent ─► its result received (accepted); ─► /flor/controller/mode received (reported)
@@ -19,7 +19,6 @@ import argparse
 import itertools
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -29,19 +28,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
-import zmq
 from rich.console import Console
 
 import bifrost
-from benchmarks import pathway_floor
 from benchmarks.live_system import started
-from benchmarks.pathway_floor import FLOOR_ACTION, FLOOR_STATE, RATE, STAMP
 from benchmarks.tables import Columns, table
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import JointSetpoints, Statistics
-from valor.common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR, STATISTICS
+from valor.common.messages import JointSetpoints
+from valor.common.topics import JOINT_SETPOINTS, MOTOR, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 
 INSTANCE = "pathways"
@@ -75,11 +70,9 @@ class Ears:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.states: list[tuple[int, int]] = []  # (stamp of robot time, arrival) [ns]
-        self.floor: list[tuple[int, int]] = []  # (sent, arrival) [ns]
         self.reports: list[tuple[int, Any]] = []
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(JointState, "/joint_states", self._note(self.states), 5)
-        self._floor = self.node.create_subscription(JointState, FLOOR_STATE, self._note(self.floor), 5)
         self.node.create_subscription(
             ControlModeStatus,
             "/flor/controller/mode",
@@ -87,7 +80,6 @@ class Ears:
             latched,
         )
         self.mode = ActionClient(self.node, ChangeControlMode, MODE_ACTION)
-        self.floor_action = ActionClient(self.node, ChangeControlMode, FLOOR_ACTION)
         self.command = self.node.create_publisher(
             JointTrajectory, f"/trajectory_controllers/{CONTROLLER}/joint_trajectory", 1
         )
@@ -136,8 +128,6 @@ class Row:
 
     pathway: str
     samples: Samples
-    floor: float | None  # median [s]
-    aim: str
     thesis: str
 
     def of_several(self, figure: Callable[[Samples], float]) -> str:
@@ -156,44 +146,8 @@ COLUMNS: Columns[Row] = (
     ("95 %", lambda row: row.of_several(lambda samples: float(np.quantile(samples, 0.95)))),
     ("max", lambda row: row.of_several(max)),
     ("count", lambda row: str(len(row.samples))),
-    ("floor", lambda row: "–" if row.floor is None else f"{row.floor * 1e3:.2f}"),
-    ("median / floor", lambda row: "–" if row.floor is None else f"{row.median / row.floor:.1f}"),
-    ("aim", lambda row: row.aim),
     ("thesis", lambda row: row.thesis),
 )
-
-
-def measure_floor(ears: Ears, robot: RobotDescription, seconds: float) -> tuple[float, float, float]:
-    """Medians [s]: one way over pyzmq, one way over rclpy, an action from goal to result."""
-    n = len(robot.joints)
-    size = 8 * (3 * n + 40)  # about a Proprioceptor
-    command = [sys.executable, pathway_floor.__file__, str(n), str(size)]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert child.stdout is not None
-        socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.SUB)
-        socket.setsockopt(zmq.SUBSCRIBE, b"")
-        socket.connect(child.stdout.readline().strip())
-        socket.setsockopt(zmq.RCVTIMEO, 1000)
-        bare: Samples = []
-        end = time.monotonic() + seconds / 2
-        while time.monotonic() < end:
-            frame = socket.recv()
-            bare.append((time.monotonic_ns() - STAMP.unpack_from(frame)[0]) * 1e-9)
-        socket.close()
-        ears.spin(lambda: False, 1.0)
-        ears.floor.clear()
-        ears.spin(lambda: False, seconds / 2)
-        ros = [(arrival - sent) * 1e-9 for sent, arrival in ears.floor]
-        actions = []
-        for _ in range(20):
-            sent, received, _ = ears.change(ears.floor_action, "floor")
-            actions.append((received - sent) * 1e-9)
-    finally:
-        child.terminate()
-        child.wait()
-        ears.node.destroy_subscription(ears._floor)
-    return float(np.median(bare)), float(np.median(ros)), float(np.median(actions))
 
 
 def measure_state(ears: Ears, node: bifrost.Node, seconds: float) -> Samples:
@@ -213,7 +167,7 @@ def measure_state(ears: Ears, node: bifrost.Node, seconds: float) -> Samples:
 
 @dataclass
 class _Told:
-    """Whether the topic has said that a mode was accepted, and when [ns]."""
+    """True once the topic has reported that a mode was accepted; ``at`` is the time of it [ns]."""
 
     ears: Ears
     mode: str
@@ -297,44 +251,7 @@ def _speed(message: JointSetpoints) -> float:
     return abs(float(message.velocity[message.names.index(JOINT)])) if JOINT in message.names else 0.0
 
 
-def cost(node: bifrost.Node, seconds: float) -> dict[str, float]:
-    """CPU of the VRC over some seconds and its memory, as the kernel counts both.
-
-    A loaded machine slows lockstep down, so CPU is also told per cycle, and what that would be at the full rate.
-    """
-    statistics = STATISTICS["valor_ros_controller"].subscriber(node, queue=1000)
-
-    def newest() -> Statistics:
-        received = statistics.receive(PATIENCE)
-        if received is None:
-            sys.exit("the VRC says nothing")
-        return received.message
-
-    statistics.drain()
-    before = newest()
-    process = psutil.Process(before.pid)
-    used, switches, began = sum(process.cpu_times()[:2]), sum(process.num_ctx_switches()), time.monotonic()
-    time.sleep(seconds)
-    statistics.drain()
-    after = newest()
-    used, passed = sum(process.cpu_times()[:2]) - used, time.monotonic() - began
-    cycles = after.cycles - before.cycles
-    memory = process.memory_full_info()
-    statistics.close()
-    return {
-        "CPU [% of a core]": 100.0 * used / passed,
-        "cycles [1/s]": cycles / passed,
-        "CPU a cycle [ms]": 1e3 * used / cycles,
-        f"CPU at {RATE:g} Hz [% of a core]": 100.0 * used / cycles * RATE,
-        "RSS (top's RES) [MiB]": memory.rss / 2**20,
-        "PSS [MiB]": memory.pss / 2**20,
-        "USS [MiB]": memory.uss / 2**20,
-        "threads": process.num_threads(),
-        "context switches [1/s]": (sum(process.num_ctx_switches()) - switches) / passed,
-    }
-
-
-def measure(options: argparse.Namespace) -> tuple[list[Row], dict[str, float]]:
+def measure(options: argparse.Namespace) -> list[Row]:
     """Everything, in one run."""
     with tempfile.TemporaryDirectory(prefix="valor-") as folder:
         instance = Instance(INSTANCE, options.home or Path(folder))
@@ -343,27 +260,23 @@ def measure(options: argparse.Namespace) -> tuple[list[Row], dict[str, float]]:
             robot = RobotDescription.load(instance.settings().robot)
             ears = Ears()
             time.sleep(SETTLING)
-            costs = cost(node, options.seconds / 2)
-            bare, ros, action = measure_floor(ears, robot, options.seconds)
             state = measure_state(ears, node, options.seconds)
             accepted, reported = measure_modes(ears, options.changes)
             to_setpoint, to_motor, to_joint = measure_commands(ears, node, robot, options.commands)
     return [
-        Row("bare pyzmq, one way", [bare], None, "", ""),
-        Row("bare rclpy, one way", [ros], None, "", ""),
-        Row("state: Proprioceptor → /joint_states", state, bare + ros, "2 × floor", "40 ms"),
-        Row("mode: commanded → accepted", accepted, action, "15 ms", ""),
-        Row("mode: commanded → reported", reported, action, "15 ms", "49 ms"),
-        Row("joint: reference → JointSetpoints", to_setpoint, ros, "", ""),
-        Row("joint: reference → Motor", to_motor, ros + bare, "8 + 2 ms", ""),
-        Row("joint: Motor → Proprioceptor moves", to_joint, None, "", "335 ms in all"),
-    ], costs
+        Row("state: Proprioceptor → /joint_states", state, "40 ms"),
+        Row("mode: commanded → accepted", accepted, ""),
+        Row("mode: commanded → reported", reported, "49 ms"),
+        Row("joint: reference → JointSetpoints", to_setpoint, ""),
+        Row("joint: reference → Motor", to_motor, ""),
+        Row("joint: Motor → Proprioceptor moves", to_joint, "335 ms in all"),
+    ]
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=20.0, help="of state, and of floor")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of state")
     parser.add_argument("--changes", type=int, default=40, help="of the control mode")
     parser.add_argument("--commands", type=int, default=40, help="of a joint")
     parser.add_argument("--home", type=Path, help="of the instance, where a deployment has been joined")
@@ -372,7 +285,7 @@ def main() -> None:
     options = parser.parse_args()
     load = os.getloadavg()[0]
     try:
-        rows, costs = measure(options)
+        rows = measure(options)
     except ValorError as error:
         sys.exit(str(error))
     if options.json is not None:
@@ -380,7 +293,6 @@ def main() -> None:
     console = Console(width=130)
     title = f"Pathways [ms], load {load:.1f} before and {os.getloadavg()[0]:.1f} after, {os.cpu_count()} cores"
     console.print(table(title, COLUMNS, (row for row in rows if row.samples), left=["pathway"]))
-    console.print("valor_ros_controller: " + ", ".join(f"{name} {value:.1f}" for name, value in costs.items()))
 
 
 if __name__ == "__main__":

@@ -17,8 +17,8 @@ from harness.closed_loop import ClosedLoop, load_robot
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
 from valor.robot.model import controller_model
-from valor.whole_body.balance.dcm import DcmLaw
-from valor.whole_body.model.arms import UpperBodyKinematics
+from valor.whole_body.balance.reference import DcmLaw
+from valor.whole_body.model.dynamics import UpperBodyKinematics
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 DIRECTIONS = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
@@ -48,7 +48,7 @@ class Outcome:
 
     @property
     def survived(self) -> bool:
-        """Whether the robot did not fall."""
+        """True if the robot did not fall."""
         return self.fall is None
 
 

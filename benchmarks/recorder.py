@@ -23,13 +23,13 @@ from mcap.reader import make_reader
 
 import bifrost
 from benchmarks.live_system import started
-from valor.analysis.process_statistics import Sampler
+from thesis.analysis.process_statistics import Sampler
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
-from valor.valorctl import control_mode
-from valor.valorctl.supervision import Supervisor
+from valor.valorctl.drive import control_mode
+from valor.valorctl.instance.supervision import Supervisor
 
 MODE = "manipulate"
 SETTLING = 5.0  # [s]
@@ -73,7 +73,7 @@ def _watch(instance: Instance, node: bifrost.Node, minutes: float, bag: Path) ->
     first = _robot_time(senses)
     while (elapsed := time.monotonic() - began) < 60.0 * minutes:
         time.sleep(PERIOD)
-        sampler.look()
+        sampler.sample()
         usage = sampler.usage()["bag_recorder"]
         if int(elapsed / 60.0) > rows or elapsed + PERIOD >= 60.0 * minutes:
             cpu = usage.cpu[60 * rows :]

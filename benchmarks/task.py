@@ -1,9 +1,9 @@
 """A door opened and a valve turned: plant and Motion Manager in one process, truth from the simulator.
 
 ``python -m benchmarks.task [door|valve…] [--starts N] [--first SEED] [--profile NAME…] [--compensation on off]`` prints
-a table; ``--starts 2`` is quick. It walks to a stance by footsteps; its right hand goes where ``valor.tasks``
-says, by what was seen from the start (``valor/tasks/seen.py``: 1 cm, 0.02 rad off). Of the world a seed draws where the
-fixture stands. *Done* is a door that has been opened by 10°, a wheel that has been turned by 360°, and no fall.
+a table; ``--starts 2`` is quick. It walks to a stance by footsteps; its right hand goes where ``valor.manipulation``
+says, by what was seen from the start (``seen.py`` there: 1 cm, 0.02 rad off). A seed draws where
+the fixture stands. *Done* is a door that has been opened by 10°, a wheel that has been turned by 360°, and no fall.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from harness.closed_loop import load_robot
 from harness.task_robot import Outcome, TaskRobot
-from valor.tasks.known import TASKS
+from valor.manipulation.known import TASKS
 
 COLUMNS = ("task", "actuators", "compensation", "done", "turned, least and median [°]", "falls", "time, median [s]")
 

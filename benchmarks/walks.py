@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Literal
 
 import numpy as np
 
-from benchmarks.flights import over_stairs
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
 from valor.robot.step_plan import FEET, PlanStep
+from valor.robot.tables import RobotTables
 from valor.simulation import worlds
-from valor.simulation.worlds.stairs import Stairs
-from valor.whole_body.walking.footsteps import Step, level_pose
-from valor.whole_body.walking.step_queue import StepQueue
+from valor.simulation.worlds.courses import Stairs
+from valor.whole_body.walking.footsteps import Step, StepQueue, level_pose
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
+SWING_HEIGHT = 0.08  # between steps of stairs [m]
+STEP_DURATION, SWAY_DURATION = 1.0, 0.4  # there [s]
+LENGTH = 0.3  # of steps on the landing, about [m]
+DOWN = 0.03  # further than the middle of a tread, so that the heel clears the edge [m]
+BEFORE, RUN_UP = 0.03, 0.16  # of the toes to the first riser, and the step before it [m]
 WALKS = ((0.2, 0, 0), (0.3, 0, 0), (0.5, 0, 0), (0.8, 0, 0), (-0.2, 0, 0), (0, 0.1, 0), (0.3, 0, 0.3))  # [m/s, rad/s]
 WALK_DURATION = 20.0  # [s]
 COURSES = {"dirt": (0.45, 61.0), "rubble": (0.4, 4.0)}  # speed [m/s], way [m]
@@ -153,3 +158,26 @@ def measure(loop: ClosedLoop, going: Callable[[], bool]) -> str:
         f"| {limited} | {np.sqrt(np.mean(np.square(forces))):.0f} | {loop.command.qp_failures} "
         f"| {p50:.0f}, {p99:.0f} | {loop.fall or '–'}"
     )
+
+
+def over_stairs(tables: RobotTables, stairs: Stairs) -> list[PlanStep]:
+    """One foot on each step, in its middle, going down a little further; feet together at the end. In odom."""
+    table, foot = tables.walking, tables.feet.left
+    middle = 0.5 * stairs.tread - 0.5 * (foot.heel + foot.toe)
+    top = stairs.rise * stairs.steps
+    first, last = stairs.up[-1] + middle, stairs.down[0] - foot.toe - 0.025  # on the landing
+    level = max(2, round((last - first) / LENGTH))
+    places = [(stairs.up[0] - foot.toe - BEFORE - x, 0.0) for x in (RUN_UP, 0.0)]
+    places += [(x + middle, stairs.rise * (i + 1)) for i, x in enumerate(stairs.up)]
+    places += [(first + (last - first) * (i + 1) / level, top) for i in range(level)]
+    places += [(x + middle + DOWN, top - stairs.rise * (i + 1)) for i, x in enumerate(stairs.down)]
+    places.append(places[-1])
+    steps, height = [], 0.0
+    for i, (x, z) in enumerate(places):
+        slow = abs(z - height) > 0.0 or i == len(places) - 1
+        lift, swing, sway = (SWING_HEIGHT, STEP_DURATION, SWAY_DURATION) if slow else (0.0, 0.0, 0.0)
+        y = table.step_width * (0.5 - i % 2)
+        side: Literal["left", "right"] = "right" if i % 2 else "left"
+        steps.append(PlanStep(foot=side, x=x, y=y, z=z, swing_height=lift, step_duration=swing, sway_duration=sway))
+        height = z
+    return steps

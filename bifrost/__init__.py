@@ -1,39 +1,27 @@
 """Bifrost: publish–subscribe and request–reply between processes that find each other by topic name alone."""
 
 from bifrost.client import Client
-from bifrost.directory import Count, DaemonInfo
+from bifrost.directory import DaemonInfo
 from bifrost.encoding import codec
-from bifrost.errors import (
-    ConfigurationError,
-    Error,
-    NoServerError,
-    RemoteError,
-    SchemaError,
-    TimeoutError,
-)
-from bifrost.grants import Charter, Grants
-from bifrost.graph import End, Graph, ServiceInfo, TopicInfo
-from bifrost.health import counts, daemon_alive
+from bifrost.errors import ConfigurationError, Error, NoServerError, RemoteError, SchemaError, TimeoutError
+from bifrost.grants import AccessPolicy, Grants
+from bifrost.graph import Graph, daemon_alive
 from bifrost.limits import Limit
 from bifrost.messages import Float64Array, Message, Uint8Array
 from bifrost.network import Computer, Network
 from bifrost.node import Node
-from bifrost.plain import from_builtins, to_builtins
 from bifrost.publisher import Publisher
-from bifrost.reflection import type_from_schema
-from bifrost.schema import Schema
+from bifrost.reflection import from_json, to_builtins
 from bifrost.server import Server
 from bifrost.subscriber import Received, Subscriber
 from bifrost.waiting import Poller, wait
 
 __all__ = [
-    "Charter",
+    "AccessPolicy",
     "Client",
     "Computer",
     "ConfigurationError",
-    "Count",
     "DaemonInfo",
-    "End",
     "Error",
     "Float64Array",
     "Grants",
@@ -47,19 +35,14 @@ __all__ = [
     "Publisher",
     "Received",
     "RemoteError",
-    "Schema",
     "SchemaError",
     "Server",
-    "ServiceInfo",
     "Subscriber",
     "TimeoutError",
-    "TopicInfo",
     "Uint8Array",
     "codec",
-    "counts",
     "daemon_alive",
-    "from_builtins",
+    "from_json",
     "to_builtins",
-    "type_from_schema",
     "wait",
 ]

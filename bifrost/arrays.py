@@ -1,6 +1,6 @@
-"""Array fields, which are NumPy's: this module is imported with the first message type that has one.
+"""Array fields, in NumPy. Imported with the first message type that has one.
 
-NumPy takes longer to import than all the rest of Bifrost, and who hears no arrays need not wait for it.
+NumPy takes longer to import than the rest of Bifrost; programs without arrays do not wait for it.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ ndarray = np.ndarray  # the class of every array
 
 DTYPES: dict[ArrayKind, np.dtype[Any]] = {kind: np.dtype(kind.value) for kind in ArrayKind}
 
-# What msgspec does not know is asked for its bytes, in C order, and raises TypeError if it is no array.
+# Encodes arrays as bytes in C order; raises TypeError for other types that msgspec does not support.
 ENCODER = msgspec.msgpack.Encoder(enc_hook=np.ndarray.tobytes)
 
-# An array field as its decoder is shown it: msgspec drops markers, but hands on a type's arguments.
+# Array fields for the decoder: msgspec drops annotations, but passes on a type's arguments.
 WIRE_TYPES: dict[ArrayKind, Any] = {kind: np.ndarray[Any, dtype] for kind, dtype in DTYPES.items()}  # type: ignore[valid-type]
 
 
 def _array(wire_type: Any, value: Any, _view: Callable[..., Any] = np.frombuffer) -> Any:
-    return _view(value, wire_type.__args__[1])  # raises TypeError on all but bytes
+    return _view(value, wire_type.__args__[1])  # raises TypeError unless the value is bytes
 
 
 def decoder(message_type: type[S]) -> msgspec.msgpack.Decoder[S]:
-    """A decoder that accepts what is exactly of this type, and raises ``ValueError`` or its kin on all else.
+    """A decoder that raises ``ValueError`` or ``msgspec.DecodeError`` unless a message is exactly of this type.
 
     Args:
-        message_type: what it decodes; its array fields are of ``WIRE_TYPES``.
+        message_type: with array fields of ``WIRE_TYPES``.
     """
     return msgspec.msgpack.Decoder(message_type, dec_hook=_array)
 
 
 def array_check(kind: ArrayKind) -> Callable[[Any, str], None]:
-    """What raises TypeError on a value that is no array of this kind, and names it."""
+    """A function that raises TypeError, with the name, unless a value is an array of this kind."""
     dtype = DTYPES[kind]
 
     def check_array(value: Any, name: str) -> None:

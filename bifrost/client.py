@@ -1,4 +1,4 @@
-"""Asking a server: one request at a time, at most once, with a time limit; waiting for the reply, or looking for it."""
+"""Clients: one request at a time, sent at most once, with a timeout; blocking or polled."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from struct import error as StructError  # noqa: N812
 from typing import Generic, TypeVar
 
-import msgspec
 import zmq
 
 from bifrost import wire
@@ -21,24 +20,24 @@ from bifrost.messages import M, Message
 from bifrost.neighbors import Peer
 
 R = TypeVar("R", bound=Message)
-_AGAIN = 0.01  # while a question of a loop waits for a connection, it is looked at this often [s]
-_SLICE = 0.05  # while the connection is being made, the table is looked at this often [s]
+_AGAIN = 0.01  # polling interval of a request that waits for a connection [s]
+_SLICE = 0.05  # polling interval of the table while the connection is being made [s]
 
 
 @dataclass
 class _Asked:
-    """A question of a loop."""
+    """An open request."""
 
     payload: bytes
     deadline: float  # monotonic [s]
     timeout: float  # [s]
-    server: Peer | None = None  # to whom it was sent
+    server: Peer | None = None  # receiver, once it was sent
 
 
 class Client(Generic[M, R]):
-    """Asks the server of one topic. Made by ``Node.client``.
+    """Sends requests to the server of one topic. Made by ``Node.client``.
 
-    A thread that may wait uses ``call``. A loop that may not uses ``ask``, ``bifrost.wait`` and ``answer``.
+    Threads that may block use ``call``; loops use ``ask``, ``bifrost.wait`` and ``answer``.
     """
 
     def __init__(self, discovery: Discovery, topic: str, request: type[M], reply: type[R]) -> None:
@@ -50,7 +49,7 @@ class Client(Generic[M, R]):
         self._prefix = topic.encode() + b"\0"
         self._computer = wire.computer_id()
         self._origin = discovery.name.encode()
-        self._request_id = secrets.randbits(63)  # no two clients, nor two runs of one, count alike
+        self._request_id = secrets.randbits(63)  # unique for each client and each run
         self._socket: zmq.Socket[bytes] | None = None
         self._endpoint = ""
         self._closed = False
@@ -61,20 +60,18 @@ class Client(Generic[M, R]):
         self._key = discovery.announce(entry, [self._request.schema, self._reply.schema], self)
 
     def call(self, request: M, timeout: float = 1.0) -> R:
-        """Send a request and wait for its reply.
-
-        The server handles it once or, when this raises, possibly not at all; it is never sent twice.
+        """Send a request, at most once, and wait for its reply. After an error, the server may have handled it.
 
         Args:
             request: of the client's type.
-            timeout: for everything, a server that has yet to start included [s].
+            timeout: total, including the wait for a server that starts later [s].
 
         Raises:
-            NoServerError: nobody serves the topic.
-            TimeoutError: the server has not answered.
-            SchemaError: the server's types are others.
-            RemoteError: the server refused the request, or its handler raised.
-            TypeError: the request is of another type, or a field does not hold what its type says.
+            NoServerError: the topic has no server.
+            TimeoutError: the server has not replied.
+            SchemaError: the server has other types.
+            RemoteError: the server rejected the request, or its handler raised.
+            TypeError: the request or a field is of another type.
         """
         self.ask(request, timeout)
         while self._asked is not None:
@@ -85,17 +82,7 @@ class Client(Generic[M, R]):
         return answer
 
     def ask(self, request: M, timeout: float = 1.0) -> None:
-        """Send a request without waiting for anything; ``answer`` tells what became of it. Never blocks.
-
-        A question that is still open is given up: its reply, if it comes, is passed over.
-
-        Args:
-            request: of the client's type.
-            timeout: for everything, a server that has yet to start included [s].
-
-        Raises:
-            TypeError: as ``call``.
-        """
+        """Send a request as ``call``; ``answer`` returns the reply. Never blocks. An open request is abandoned."""
         if type(request) is not self._request_type:
             raise TypeError(f"{self.topic}: expected {self._request.name}, got {type(request).__name__}")
         payload = self._request.encode(request)
@@ -104,10 +91,10 @@ class Client(Generic[M, R]):
         self._advance()
 
     def answer(self) -> R | None:
-        """The reply to what was asked, once; None as long as there is none. Never blocks.
+        """The reply, once; None while there is none. Never blocks.
 
         Raises:
-            Error: as ``call`` would have; once, and the question is closed.
+            Error: as ``call``; once, and the request is closed.
         """
         self._advance()
         answer, self._answer = self._answer, None
@@ -117,33 +104,29 @@ class Client(Generic[M, R]):
 
     @property
     def pollable(self) -> zmq.Socket[bytes] | None:
-        """For ``bifrost.wait``: None while there is nothing to poll."""
+        """Socket for ``bifrost.wait``; None while there is none to poll."""
         return self._socket if self._asked is not None and self._asked.server is not None else None
 
     def ready(self) -> bool:
-        """Whether the last question has an answer, be it an error. Never blocks."""
+        """Return whether the last request has a reply or an error. Never blocks."""
         self._advance()
         return self._answer is not None
 
-    def holding(self) -> bool:
-        """Whether there is an answer already."""
-        return self._answer is not None
-
     def patience(self) -> float | None:
-        """How long one may wait before looking again even if nothing comes [s]; None: for ever."""
+        """Zero if a reply or error is stored; None without a request; otherwise time until the next check [s]."""
         if self._asked is None:
-            return None
+            return None if self._answer is None else 0.0
         remaining = max(0.0, self._asked.deadline - time.monotonic())
         return remaining if self._asked.server is not None else min(_AGAIN, remaining)
 
     @property
     def server(self) -> str | None:
-        """Name of the node that serves the topic now, or None."""
+        """Name of the node that serves the topic, or None."""
         peers = self._watch.peers
         return peers[-1].node if peers else None
 
     def wait_for_server(self, timeout: float) -> bool:
-        """Wait until somebody serves the topic; False after ``timeout`` [s]."""
+        """Wait until the topic has a server; False after ``timeout`` [s]."""
         return self._discovery.wait_change(lambda: bool(self._watch.peers), timeout)
 
     def close(self) -> None:
@@ -155,7 +138,6 @@ class Client(Generic[M, R]):
             self._disconnect()
 
     def _wait(self, asked: _Asked) -> None:
-        """Wait until an open question may go on."""
         remaining = max(0.0, asked.deadline - time.monotonic())
         if self._socket is not None and asked.server is not None:
             self._socket.poll(int(remaining * 1000) + 1)
@@ -165,7 +147,7 @@ class Client(Generic[M, R]):
             self.wait_for_server(remaining)
 
     def _frame(self, payload: bytes, deadline: float, server: Peer) -> bytes:
-        """The next request as it is sent; to another computer with the deadline by its clock, if that is known."""
+        """The frame of a new request; to another computer with the deadline by its clock, if the offset is known."""
         computer, until = self._computer, int(deadline * 1e9)
         clock = self._discovery.clock(server.computer)
         if clock is not OWN_CLOCK and clock.known:
@@ -178,7 +160,7 @@ class Client(Generic[M, R]):
         return b"".join((self._prefix, header, self._origin, payload))
 
     def _advance(self) -> None:
-        """Take an open question as far as it goes without waiting."""
+        """Advance an open request as far as possible without waiting."""
         asked = self._asked
         if asked is None:
             return
@@ -194,18 +176,23 @@ class Client(Generic[M, R]):
             self._answer = error
         if self._answer is None and time.monotonic() >= asked.deadline:
             self._answer = self._too_late(asked)
-            self._disconnect()  # what it may still hold must not be sent later
+            self._disconnect()  # or a queued request would be sent later
         if self._answer is not None:
             self._asked = None
 
     def _send(self, asked: _Asked) -> None:
-        """Send a question if a server is there and connected."""
-        peers = self._watch.peers
-        if not peers:
+        """Send a request if a server is connected."""
+        if not self._watch.peers:
             return
-        self._check(peers[-1])
-        self._connect(peers[-1].entry).send(self._frame(asked.payload, asked.deadline, peers[-1]), zmq.NOBLOCK)
-        asked.server = peers[-1]
+        server = self._watch.peers[-1]
+        if server.entry.hashes != self._hashes:
+            raise SchemaError(
+                f"{self.topic}: {server.node} serves {' -> '.join(server.entry.types)} "
+                f"({' -> '.join(server.entry.hashes)}), {self._discovery.name} requests "
+                f"{self._request.name} -> {self._reply.name} ({' -> '.join(self._hashes)})"
+            )
+        self._connect(server.entry).send(self._frame(asked.payload, asked.deadline, server), zmq.NOBLOCK)
+        asked.server = server
 
     def _too_late(self, asked: _Asked) -> Error:
         within, peers = f"within {asked.timeout:g} s", self._watch.peers
@@ -216,28 +203,17 @@ class Client(Generic[M, R]):
         daemon = "" if self._discovery.connected else f"; {self._discovery.daemon_silent}"
         return NoServerError(f"{self.topic}: no server {within}{daemon}")
 
-    def _check(self, peer: Peer) -> None:
-        if peer.entry.hashes != self._hashes:
-            raise SchemaError(
-                f"{self.topic}: {peer.node} serves {' -> '.join(peer.entry.types)} "
-                f"({' -> '.join(peer.entry.hashes)}), {self._discovery.name} asks with "
-                f"{self._request.name} -> {self._reply.name} ({' -> '.join(self._hashes)})"
-            )
-
     def _connect(self, entry: Entry) -> zmq.Socket[bytes]:
-        endpoint = entry.endpoint
-        if self._socket is not None and endpoint == self._endpoint:
-            return self._socket
-        self._disconnect()
-        socket = self._discovery.connecting_socket(zmq.DEALER)
-        socket.setsockopt(zmq.IMMEDIATE, 1)  # nothing is queued for a server that is not there
-        try:
-            self._discovery.connect(socket, entry)
-        except zmq.ZMQError as error:  # a member has registered what is no address
-            socket.close()
-            raise NoServerError(f"{self.topic}: cannot connect to {endpoint!r}: {error.strerror}") from None
-        self._socket, self._endpoint = socket, endpoint
-        return socket
+        if self._socket is None or entry.endpoint != self._endpoint:
+            self._disconnect()
+            self._socket, self._endpoint = self._discovery.connecting_socket(zmq.DEALER), entry.endpoint
+            self._socket.setsockopt(zmq.IMMEDIATE, 1)  # no queue without a connection
+            try:
+                self._discovery.connect(self._socket, entry)
+            except zmq.ZMQError as error:  # a member has registered an invalid address
+                self._disconnect()
+                raise NoServerError(f"{self.topic}: cannot connect to {entry.endpoint!r}: {error.strerror}") from None
+        return self._socket
 
     def _disconnect(self) -> None:
         if self._socket is not None:
@@ -245,7 +221,7 @@ class Client(Generic[M, R]):
             self._socket, self._endpoint = None, ""
 
     def _take(self, frame: bytes, server: Peer) -> R | None:
-        """The reply, or None when the frame answers another call."""
+        """The reply; None if the frame belongs to another request."""
         try:
             version, request_id, status = wire.REPLY.unpack_from(frame)
         except StructError:
@@ -256,9 +232,9 @@ class Client(Generic[M, R]):
         if status == wire.OK:
             try:
                 return self._reply.decode(payload)
-            except (ValueError, msgspec.DecodeError, RecursionError) as error:
+            except (ValueError, RecursionError) as error:
                 raise RemoteError(
-                    f"{self.topic}: the reply of {server.node} is no {self._reply.name}: {error}"
+                    f"{self.topic}: the reply of {server.node} is not a {self._reply.name}: {error}"
                 ) from None
         text = bytes(payload).decode(errors="replace")
         if status == wire.OTHER_SCHEMA:

@@ -1,7 +1,7 @@
-"""A node's one background thread: tells the daemon what the node has, learns who else is there, guards the door.
+"""The background thread of a node: registers its entries with the daemon, receives the table, authenticates peers.
 
-Publishers, subscribers, servers and clients never talk to the daemon themselves. They announce an ``Entry`` here, and
-those that connect hold a ``Watch``: the peers of a topic, renewed by the thread, which wakes the owner then.
+Publishers, subscribers, servers and clients do not communicate with the daemon. They announce an ``Entry`` here; those
+that connect hold a ``Watch``, the peers of a topic, which the thread updates before it wakes the owner.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import msgspec
 import zmq
@@ -22,56 +21,54 @@ import zmq
 from bifrost import directory as d
 from bifrost import security
 from bifrost.clocks import OWN_CLOCK, OtherClock
-from bifrost.keepsake import recall
+from bifrost.messages import Schema
 from bifrost.neighbors import Neighbors, Watch
 from bifrost.network import Network
-from bifrost.schema import Schema
 from bifrost.security import Gate
+from bifrost.table_cache import recall
 from bifrost.wakes import Wakes
 
-# Between two registrations, each of which tells all nodes of everything that this one has; for each of its entries [s].
+# Minimum interval between registrations, each of which is sent to all nodes, for each entry of the node [s].
 _REST = 1e-4
-_PATIENCE = 0.3  # with a daemon, until those that the last one knew are looked up on disk [s]
-_WARNINGS = 20  # of what others may not have, at most
+_RECALL_AFTER = 0.3  # time without a daemon, after which the table on disk is read [s]
+_WARNINGS = 20  # maximum number of logged rejections
 _log = logging.getLogger("bifrost")
-Counter = Callable[[], tuple[int, int, int]]  # messages, drops, rejected
 
 
 class Closable(Protocol):
-    """What has announced an entry, and ends with its node."""
+    """Owner of an entry, closed with its node."""
 
     def close(self) -> None:
-        """Give back everything; withdraws the entry."""
+        """Release all resources, and withdraw the entry."""
 
 
-@dataclass(frozen=True)
-class _Announced:
+class _Announced(NamedTuple):
     entry: d.Entry
     schemas: dict[str, Schema]  # by hash
     owner: Closable | None
-    counter: Counter | None
 
 
 class Discovery:
-    """See the module. All public methods may be called from any thread.
+    """See the module. All public methods are thread-safe.
 
     Attributes:
-        network: that the node has joined.
+        network: of the node.
         name: of the node.
         incarnation: a random number that no other node, and no later run of this one, has.
+        wakes: wakes subscribers when their publishers change.
     """
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, name: str, recall: bool) -> None:
         self.network, self.name = network, name
+        self.daemon_silent = f"bifrostd at {network.computer.daemon} does not respond"  # message for the user
         self.incarnation = secrets.randbits(63)
         here = network.computer.name
         self._bare_record = d.NodeRecord(name, self.incarnation, os.getpid(), here, time.monotonic_ns())
         self._lock = threading.Lock()
         self._changed = threading.Condition(self._lock)
         self._announced: dict[int, _Announced] = {}  # by key
-        self._counts_told: list[d.Count] = []
         self._next_key = 0
-        self._errands: deque[Callable[[], None]] = deque()  # for the thread
+        self._tasks: deque[Callable[[], None]] = deque()  # for the thread
         self._attended: dict[int, Callable[[], None]] = {}
         self._poller = zmq.Poller()
         self._dirty = False
@@ -79,19 +76,17 @@ class Discovery:
         self._closing = False
         self._neighbors = Neighbors(here)
         self._clocks: dict[str, OtherClock] = {here: OWN_CLOCK}
-        self._refused: set[str] = set()  # that the log has told of
-        self._heard = 0.0  # when the daemon last said anything
-        self._recall_at = time.monotonic() + _PATIENCE if recall else float("inf")
+        self._refused: set[str] = set()  # logged
+        self._heard = 0.0  # time of the daemon's latest message, monotonic [s]
+        self._recall_at = time.monotonic() + _RECALL_AFTER if recall else float("inf")
         self._context = context
         self._gate = Gate(context, network)
-        self._wakes = Wakes(context)
+        self.wakes = Wakes(context)
         self._poke = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._daemon = self.connecting_socket(zmq.DEALER)
         security.connect(self._daemon, network.computer.daemon, network.daemon_key)
         self._thread = threading.Thread(target=self._run, name=f"bifrost-{name}", daemon=True)
         self._thread.start()
-
-    # --- for publishers, subscribers, servers and clients ---------------------------------------------------------
 
     def listening_socket(self, kind: int) -> zmq.Socket[bytes]:
         """A socket to bind."""
@@ -102,21 +97,15 @@ class Discovery:
         return security.connecting_socket(self._context, kind, self.network)
 
     def connect(self, socket: zmq.Socket[bytes], entry: d.Entry) -> None:
-        """Connect a socket to an entry of a node."""
+        """Connect a socket to an entry's endpoint."""
         security.connect(socket, entry.endpoint, entry.key.encode() or self.network.server.public)
 
-    def connect_wake(self, socket: zmq.Socket[bytes]) -> None:
-        """Let the thread wake a subscriber when its publishers change."""
-        self._wakes.connect(socket)
-
-    def announce(
-        self, entry: d.Entry, schemas: Iterable[Schema], owner: Closable | None = None, counter: Counter | None = None
-    ) -> int:
-        """Tell the network of an entry, and from time to time of its counters; returns the key for ``withdraw``.
+    def announce(self, entry: d.Entry, schemas: Iterable[Schema], owner: Closable | None = None) -> int:
+        """Register an entry; returns the key for ``withdraw``.
 
         ``owner`` is closed with the node, unless it has withdrawn the entry.
         """
-        announced = _Announced(entry, {schema.digest().hex(): schema for schema in schemas}, owner, counter)
+        announced = _Announced(entry, {schema.digest().hex(): schema for schema in schemas}, owner)
         with self._lock:
             self._next_key += 1
             self._announced[self._next_key] = announced
@@ -125,7 +114,7 @@ class Discovery:
             return self._next_key
 
     def withdraw(self, key: int) -> None:
-        """Take an entry back."""
+        """Remove an entry."""
         with self._lock:
             announced = self._announced.pop(key, None)
             if announced is not None:
@@ -133,83 +122,73 @@ class Discovery:
                 self._own_changed()
 
     def watch(self, kind: d.Kind, topic: str, notify: Callable[[], None] | None = None) -> Watch:
-        """Keep an eye on a topic's publishers or servers.
+        """Watch a topic's publishers or servers.
 
         Args:
-            kind: what to look for.
+            kind: publisher or server.
             topic: its name.
-            notify: called with the lock held after a change; by default the topic's subscribers are woken through
-                the wake socket.
+            notify: called after a change, with the lock held; default: wake the topic's subscribers.
         """
-        watch = Watch(kind, topic, notify or (lambda: self._wakes.add(topic)))
+        watch = Watch(kind, topic, notify or (lambda: self.wakes.add(topic)))
         with self._lock:
             self._neighbors.watch(watch)
         return watch
 
     def unwatch(self, watch: Watch) -> None:
-        """Let a topic go."""
+        """End a watch."""
         with self._lock:
             self._neighbors.unwatch(watch)
 
     def clock(self, computer: str) -> OtherClock:
-        """That of a computer; kept to what is known of it."""
+        """The clock of a computer; the thread updates its offset."""
         with self._lock:
             return self._clocks.setdefault(computer, OtherClock())
 
     def wake(self, topic: str) -> None:
-        """Wake the topic's subscribers of this node, wherever they wait."""
-        self._wakes.add(topic)
+        """Wake the topic's subscribers of this node."""
+        self.wakes.add(topic)
         self._poke_thread()
 
-    def wake_at(self, topic: str, when: float) -> None:
-        """Wake the topic's subscribers at a time [s, monotonic], or a heartbeat later."""
-        self._wakes.add_at(topic, when)
-
     def attend(self, descriptor: int, callback: Callable[[], None]) -> None:
-        """Have the thread call back whenever a descriptor is readable."""
-        self._errands.append(lambda: self._register(descriptor, callback))
+        """Have the thread call ``callback`` whenever a descriptor is readable."""
+        self._tasks.append(lambda: self._register(descriptor, callback))
         self._poke_thread()
 
     def leave_alone(self, descriptor: int, then: Callable[[], None]) -> None:
-        """Attend to a descriptor no more; the thread then does ``then``, which may close it."""
-        self._errands.append(lambda: self._unregister(descriptor, then))
+        """End ``attend``; the thread then calls ``then``, which may close the descriptor."""
+        self._tasks.append(lambda: self._unregister(descriptor, then))
         self._poke_thread()
 
     def wait_change(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait until ``condition()``, looked at after every change of the table."""
+        """Wait until ``condition()``, evaluated after every change of the table."""
         with self._changed:
             return self._changed.wait_for(condition, timeout)
 
     def records(self) -> list[d.NodeRecord]:
-        """Every node known, this one included."""
+        """All nodes, this one included."""
         with self._lock:
             return [self._record(), *self._neighbors.nodes.values()]
 
     def schema(self, digest: str) -> Schema | None:
-        """The schema of a hash (hexadecimal), if any node has registered it."""
+        """The schema of a hash (hexadecimal), if a node has registered it."""
         with self._lock:
             own = (each.schemas[digest] for each in self._announced.values() if digest in each.schemas)
             return next(own, None) or self._neighbors.schema(digest)
 
     @property
     def owners(self) -> list[Closable]:
-        """All that have announced an entry and not withdrawn it."""
+        """Owners of the present entries."""
         with self._lock:
             return [each.owner for each in self._announced.values() if each.owner is not None]
 
     @property
-    def daemon_silent(self) -> str:
-        """What to tell a person when the daemon does not answer."""
-        return f"bifrostd at {self.network.computer.daemon} does not answer"
-
-    @property
     def connected(self) -> bool:
-        """Whether the daemon has been heard of within the last seconds."""
+        """True if the daemon has sent a message within the last seconds."""
         return time.monotonic() - self._heard < d.NODE_TIMEOUT
 
     @property
     def registered(self) -> bool:
-        """Whether this daemon's table has arrived."""
+        """True if this daemon's table has arrived."""
         return self._neighbors.version >= 0 and self.connected
 
     def close(self) -> None:
@@ -246,7 +225,7 @@ class Discovery:
         os.eventfd_write(self._poke, 1)
 
     def _run(self) -> None:
-        for socket in (self._gate.socket, self._daemon, self._wakes.socket, self._poke):
+        for socket in (self._gate.socket, self._daemon, self.wakes.socket, self._poke):
             self._poller.register(socket, zmq.POLLIN)
         next_heartbeat = 0.0
         try:
@@ -265,28 +244,28 @@ class Discovery:
                     self._gate.answer()
                 if self._poke in ready:
                     os.eventfd_read(self._poke)
-                if self._wakes.socket in ready:
-                    self._wakes.receive()
+                if self.wakes.socket in ready:
+                    self.wakes.receive()
                 if self._daemon in ready:
                     self._receive_from_daemon()
                 for descriptor in ready.keys() & self._attended.keys():
                     self._attended[descriptor]()
-                self._run_errands()
+                self._run_tasks()
                 self._forget_departed()
                 self._register_if_dirty()
-                self._wakes.send()
+                self.wakes.send()
         finally:
-            self._run_errands()
+            self._run_tasks()
             self._leave()
 
-    def _run_errands(self) -> None:
-        while self._errands:
-            self._errands.popleft()()
+    def _run_tasks(self) -> None:
+        while self._tasks:
+            self._tasks.popleft()()
 
     def _register(self, descriptor: int, callback: Callable[[], None]) -> None:
         self._attended[descriptor] = callback
         self._poller.register(descriptor, zmq.POLLIN)
-        callback()  # the descriptor tells of what comes from now on
+        callback()  # the descriptor reports later events only
 
     def _unregister(self, descriptor: int, then: Callable[[], None]) -> None:
         if self._attended.pop(descriptor, None) is not None:
@@ -294,16 +273,7 @@ class Discovery:
         then()
 
     def _heartbeat(self) -> None:
-        neighbors = self._neighbors
-        counts = self._counts()
-        told = counts == self._counts_told
-        if self._send(d.Heartbeat(self.incarnation, neighbors.epoch, neighbors.version, None if told else counts)):
-            self._counts_told = counts
-
-    def _counts(self) -> list[d.Count]:
-        with self._lock:
-            counters = [(each.entry, each.counter) for each in self._announced.values() if each.counter is not None]
-        return [d.Count(entry.kind, entry.topic, *counter()) for entry, counter in counters]
+        self._send(d.Heartbeat(self.incarnation, self._neighbors.epoch, self._neighbors.version))
 
     def _register_if_dirty(self) -> None:
         now = time.monotonic()
@@ -318,15 +288,7 @@ class Discovery:
             self._next_registration = now + d.HEARTBEAT_PERIOD
 
     def _receive_from_daemon(self) -> None:
-        while True:
-            try:
-                content = self._daemon.recv(zmq.NOBLOCK)
-            except zmq.Again:
-                return
-            try:
-                message = d.decode_from_daemon(content)
-            except (msgspec.DecodeError, RecursionError):
-                continue  # of another version
+        for message in d.from_daemon(self._daemon):
             self._heard = time.monotonic()
             with self._lock:
                 self._take(message)
@@ -341,23 +303,22 @@ class Discovery:
             return
         if isinstance(message, d.Unknown):
             self._dirty = True
-            self._counts_told = []
         elif isinstance(message, d.Table):
             others = (self._sifted(record) for record in message.nodes if record.incarnation != self.incarnation)
             neighbors.replace(others, message.epoch, message.version)
         elif isinstance(message, d.Update | d.Gone) and message.epoch == neighbors.epoch:
             if message.version == neighbors.version + 1:
                 neighbors.version = message.version
-            # Otherwise something was missed; the next heartbeat carries our version and brings the table.
+            # Otherwise an update was lost; the reply to the next heartbeat, with our version, is the table.
             if isinstance(message, d.Gone):
                 neighbors.depart(message.incarnation, message.reason)
-                self._dirty |= message.incarnation == self.incarnation  # we are not
+                self._dirty |= message.incarnation == self.incarnation  # this node still runs
             elif message.node.incarnation != self.incarnation:
                 neighbors.put(self._sifted(message.node))
         self._refresh()
 
     def _recall(self) -> None:
-        """The daemon has not answered: those that the last one knew are as good as known."""
+        """Without a daemon, use the nodes in the last one's table."""
         self._recall_at = float("inf")
         if not self._heard:
             with self._lock:
@@ -366,7 +327,7 @@ class Discovery:
                 self._refresh()
 
     def _sifted(self, record: d.NodeRecord) -> d.NodeRecord:
-        """A record without what is not its node's. The daemon has seen to it, but is not what is trusted."""
+        """A record without unauthorised entries. The daemon removes them, but is not trusted."""
         record, refusals = record.sifted(self.network.grants)
         for refusal in refusals:
             if refusal not in self._refused and len(self._refused) < _WARNINGS:
@@ -381,7 +342,7 @@ class Discovery:
                 self._refresh()
 
     def _send(self, message: d.ToDaemon) -> bool:
-        """False when the daemon has been away for so long that nothing more is queued: told again later."""
+        """False when the queue is full after a long absence of the daemon; the caller retries later."""
         try:
             self._daemon.send(d.encode(message), zmq.NOBLOCK)
         except zmq.Again:
@@ -393,5 +354,5 @@ class Discovery:
             self._daemon.setsockopt(zmq.LINGER, 200)
             self._send(d.Leave(self.incarnation))
         self._daemon.close()
-        self._wakes.socket.close()
+        self.wakes.socket.close()
         self._gate.close()

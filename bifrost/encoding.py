@@ -1,20 +1,19 @@
-"""Encoding and decoding a message type, with every check that the bytes themselves do not make."""
+"""Encoding and decoding of message types, with checks that msgpack does not make."""
 
 from __future__ import annotations
 
 import typing
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any, Generic
 
 import msgspec
 
-from bifrost.messages import M, Message
+from bifrost.messages import Integer, M, Message
 from bifrost.reflection import array_kind, field_types, list_type, optional_type, schema_of
 
 _Check = Callable[[Any, str], None]
 _LOWEST, _HIGHEST = -(2**63), 2**63 - 1
-_Integer = typing.Annotated[int, msgspec.Meta(ge=_LOWEST, le=_HIGHEST)]
 
 
 class Codec(Generic[M]):
@@ -23,11 +22,11 @@ class Codec(Generic[M]):
     Attributes:
         type: the class.
         name: of the class.
-        schema: what it looks like.
-        hash: eight bytes that stand for the schema on the wire.
-        decode: bytes to a message; raises ``ValueError`` or its kin on what is not exactly one of the type.
-        encode_into: writes a message into a bytearray, behind an offset [B]; the bytearray then ends where the message
-            does. Raises as ``encode``.
+        schema: of the class.
+        hash: of the schema on the wire, eight bytes.
+        decode: bytes to a message; raises ``ValueError`` or ``msgspec.DecodeError`` unless they match it.
+        encode_into: writes a message into a bytearray from an offset [B], and truncates the bytearray after it. Raises
+            as ``encode``.
     """
 
     def __init__(self, message_type: type[M]) -> None:
@@ -45,7 +44,7 @@ class Codec(Generic[M]):
         """The message as bytes.
 
         Raises:
-            TypeError: an array field does not hold an array of its type; names it.
+            TypeError: a field has a value of another type; names the field.
         """
         if self._check is not None:
             self._check(message, self.name)
@@ -80,14 +79,14 @@ def _cached(message_type: type[Message]) -> Codec[Any]:
 
 
 def codec(message_type: type[M]) -> Codec[M]:
-    """The codec of a message type; made once a type."""
+    """The codec of a message type; cached."""
     return typing.cast("Codec[M]", _cached(message_type))
 
 
 def _put_on_wire(message_type: type[Message]) -> None:
-    """Have its decoder, yet to be made, see fields as it has to take them.
+    """Set the fields' annotations for the decoder, before it is made.
 
-    That is integers of 64 signed bits, as msgpack also knows unsigned ones, and arrays of ``WIRE_TYPES``.
+    Integers have 64 signed bits; arrays are of ``WIRE_TYPES``.
     """
     for field, annotation in field_types(message_type).items():
         message_type.__annotations__[field] = _on_wire(annotation)
@@ -95,7 +94,7 @@ def _put_on_wire(message_type: type[Message]) -> None:
 
 def _on_wire(annotation: Any) -> Any:
     if annotation is int:
-        return _Integer
+        return Integer
     if (kind := array_kind(annotation)) is not None:
         from bifrost.arrays import WIRE_TYPES
 
@@ -109,8 +108,8 @@ def _on_wire(annotation: Any) -> Any:
     return annotation
 
 
-# On the wire an array is bytes: one of another element type would be misread, not refused. Therefore the sender looks.
-# A check is a function of the value and of its name, made once a type; None where there is nothing to look at.
+# On the wire an array is bytes: another element type would be misread, not rejected. Therefore the sender checks.
+# A check is a function of the value and its name, made once for each type; None if there is nothing to check.
 
 
 def _message_check(message_type: type[Message]) -> _Check | None:
@@ -133,7 +132,7 @@ def _message_check(message_type: type[Message]) -> _Check | None:
     def check_message(message: Any, name: str) -> None:
         for field, array, dtype, complain in arrays:
             value = getattr(message, field)
-            # The common case in three comparisons: this runs for every message of a control loop.
+            # Three comparisons in the common case: this runs for every message of a control loop.
             if type(value) is not array or value.dtype is not dtype or value.ndim != 1:
                 complain(value, f"{name}.{field}")
         for field in integers:
@@ -155,10 +154,9 @@ def _field_check(annotation: Any) -> _Check | None:
         from bifrost.arrays import array_check
 
         return array_check(kind)
-    if (inner := list_type(annotation)) is not None:
-        return _list_check(_field_check(inner))
-    if (inner := optional_type(annotation)) is not None:
-        return _optional_check(_field_check(inner))
+    for inner, check_inner in ((list_type(annotation), _check_list), (optional_type(annotation), _check_optional)):
+        if inner is not None and (check := _field_check(inner)) is not None:
+            return partial(check_inner, check)
     return None
 
 
@@ -167,23 +165,11 @@ def _check_integer(value: Any, name: str) -> None:
         raise TypeError(f"{name}: expected an integer of 64 bits, got {value!r}")
 
 
-def _list_check(check: _Check | None) -> _Check | None:
-    if check is None:
-        return None
-
-    def check_list(values: Any, name: str) -> None:
-        for index, value in enumerate(values):
-            check(value, f"{name}[{index}]")
-
-    return check_list
+def _check_list(check: _Check, values: Any, name: str) -> None:
+    for index, value in enumerate(values):
+        check(value, f"{name}[{index}]")
 
 
-def _optional_check(check: _Check | None) -> _Check | None:
-    if check is None:
-        return None
-
-    def check_optional(value: Any, name: str) -> None:
-        if value is not None:
-            check(value, name)
-
-    return check_optional
+def _check_optional(check: _Check, value: Any, name: str) -> None:
+    if value is not None:
+        check(value, name)

@@ -1,4 +1,4 @@
-"""What Bifrost raises. Every text is one line for a person: the thing, and what was expected."""
+"""Errors of Bifrost. Each text is one line for the user: object and expectation."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import builtins
 
 
 class Error(Exception):
-    """Base of every error that Bifrost raises on purpose."""
+    """Base of all errors that Bifrost raises on purpose."""
 
 
 class ConfigurationError(Error):
-    """The network file or the keys are missing or wrong: names file, key and what was expected."""
+    """The network file or the keys are missing or wrong; names file, key and expectation."""
 
 
 class TimeoutError(Error, builtins.TimeoutError):
-    """No answer within the time allowed."""
+    """No reply within the timeout."""
 
 
 class NoServerError(Error):
-    """Nobody serves the topic."""
+    """The service has no server."""
 
 
 class SchemaError(Error):
-    """Two nodes use one topic with different types: names both."""
+    """Two nodes use one topic with different types; names both."""
 
 
 class RemoteError(Error):
-    """The server refused the request or its handler raised: carries its text."""
+    """The server rejected the request, or its handler raised; contains its text."""

@@ -1,25 +1,22 @@
-"""How much of one sender is listened to: one that sends more, and goes on, is muted while it does."""
+"""Limits of message rates: a sender that exceeds its limit is muted for a second at a time."""
 
 from __future__ import annotations
 
-import os
-import socket as sockets
-import time
-from collections.abc import Collection, KeysView
+import logging
 
 import msgspec
-import zmq
 
-MUTE = 1.0  # what is muted is heard again after so long, and muted again if it has gone on [s]
-LOOKS = 64  # messages of which nothing is delivered that one look takes in, at most
+MUTE = 1_000_000_000  # duration of a mute after the last excess [ns]
+LOOKS = 64  # maximum number of undelivered messages that one call processes
+_log = logging.getLogger("bifrost")
 
 
 class Limit(msgspec.Struct, frozen=True):
-    """What is no flood yet.
+    """Maximum rate of a sender.
 
     Attributes:
-        rate: messages a second, by the sender's stamps, that may go on for ever.
-        burst: so many more than that are let through.
+        rate: permanent rate by the sender's stamps [messages/s].
+        burst: number of messages allowed in excess of it.
     """
 
     rate: float
@@ -27,55 +24,35 @@ class Limit(msgspec.Struct, frozen=True):
 
 
 class Meter:
-    """Whether one sender is within a limit (the generic cell rate algorithm, ITU-T I.371)."""
+    """Checks one sender against a limit (generic cell rate algorithm, ITU-T I.371).
 
-    __slots__ = ("_due", "_interval", "_patience")
+    Attributes:
+        name: of the sender.
+        muted_until: end of its mute by the receiver's clock [ns]; 0: never muted.
+    """
 
-    def __init__(self, limit: Limit) -> None:
+    __slots__ = ("_due", "_interval", "_tolerance", "_topic", "muted_until", "name")
+
+    def __init__(self, limit: Limit, topic: str = "", name: str = "") -> None:
+        self.name, self._topic = name, topic
+        self.muted_until = 0
         self._interval = int(1e9 / limit.rate)
-        self._patience = self._interval * limit.burst
+        self._tolerance = self._interval * limit.burst
         self._due = -(2**63)
 
     def exceeds(self, count: int, at: int) -> bool:
-        """Count messages up to a time [ns]; whether that was too much. It then begins anew."""
+        """Count messages up to a time [ns]; True, and a restart, if they exceed the limit."""
         due = self._due + count * self._interval
-        if due - at > self._patience:
+        if due - at > self._tolerance:
             self._due = at
             return True
         self._due = max(due, at)
         return False
 
-
-class Muted:
-    """The publishers that one subscriber does not listen to for now.
-
-    Attributes:
-        ends: when the next of them is heard again, monotonic [s]; infinite if there is none.
-    """
-
-    def __init__(self) -> None:
-        self._until: dict[str, float] = {}  # by endpoint
-        self.ends = float("inf")
-
-    def add(self, endpoint: str) -> None:
-        """Mute one."""
-        self._until[endpoint] = time.monotonic() + MUTE
-        self.ends = min(self._until.values())
-
-    def endpoints(self) -> KeysView[str]:
-        """All that are muted still."""
-        if time.monotonic() >= self.ends:
-            now = time.monotonic()
-            self._until = {endpoint: until for endpoint, until in self._until.items() if until > now}
-            self.ends = min(self._until.values(), default=float("inf"))
-        return self._until.keys()
-
-
-def endpoint_of(frame: zmq.Frame, among: Collection[str]) -> str:
-    """The endpoint that a frame has come from, by its connection and not by what it says; empty if not known."""
-    try:
-        with sockets.socket(fileno=os.dup(int(frame.get(zmq.SRCFD)))) as connection:
-            host, port = connection.getpeername()[:2]
-    except (OSError, ValueError, zmq.ZMQError):  # from within the process; or the connection has ended
-        return ""
-    return next((each for each in among if each in (f"tcp://{host}:{port}", f"tcp://[{host}]:{port}")), "")
+    def mutes(self, count: int, at: int, now: int) -> bool:
+        """Count messages sent up to ``at``; True while the sender is muted. Times by its and our clock [ns]."""
+        if self.exceeds(count, at):
+            if now >= self.muted_until:
+                _log.warning("%s: %s floods it, and is muted while it continues", self._topic, self.name)
+            self.muted_until = now + MUTE
+        return now < self.muted_until

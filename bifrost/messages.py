@@ -1,26 +1,28 @@
 """Message types: msgspec Structs whose arrays travel as raw bytes.
 
 A message is encoded as a msgpack array of its fields in order. ``Float64Array`` and ``Uint8Array`` fields are msgpack
-``bin``: the elements as they lie in memory, little-endian. They arrive as read-only one-dimensional NumPy views.
+``bin``: the elements as in memory, little-endian. They are received as read-only one-dimensional NumPy views.
 
-An array field's annotation carries an ``ArrayKind``, and by that alone the kinds are told apart: which of NumPy's own
-aliases are equal when a program runs differs from one NumPy to the next.
+An array field's annotation has an ``ArrayKind``, which alone identifies the kind: the equality of NumPy's own aliases
+at run time depends on the version of NumPy.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 from enum import Enum
 from operator import methodcaller
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
 
-# For comparisons; arrays are asked for their bytes, in C order, without NumPy being imported here.
+# For comparisons; encodes arrays as bytes in C order without an import of NumPy.
 _encode = msgspec.msgpack.Encoder(enc_hook=methodcaller("tobytes")).encode
 
 
 class ArrayKind(Enum):
-    """What the elements of an array field are, by NumPy's name of them; marks the field's annotation."""
+    """Element type of an array field, by NumPy's name; marks the field's annotation."""
 
     FLOAT64 = "float64"
     UINT8 = "uint8"
@@ -32,16 +34,16 @@ if TYPE_CHECKING:
 
     Float64Array: TypeAlias = Annotated[npt.NDArray[np.float64], ArrayKind.FLOAT64]
     Uint8Array: TypeAlias = Annotated[npt.NDArray[np.uint8], ArrayKind.UINT8]
-else:  # the mark says it all, and NumPy is imported by whom arrays concern
+else:  # the mark is sufficient, and avoids the import of NumPy
     Float64Array = Annotated[Any, ArrayKind.FLOAT64]
     Uint8Array = Annotated[Any, ArrayKind.UINT8]
 
 
 class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=False, eq=False):
-    """Base of every message type. Its name, its fields' names and their types, in order, are its schema.
+    """Base of all message types. Name, field names and field types, in order, are the schema.
 
     Field types: ``int`` (64 bits), ``float``, ``bool``, ``str``, ``bytes``, ``Float64Array``, ``Uint8Array``,
-    another Message, and ``list[...]`` or ``... | None`` of these. Two messages are equal when they are encoded alike.
+    another Message, and ``list[...]`` or ``... | None`` of these. Messages with equal encoding are equal.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -49,10 +51,36 @@ class Message(msgspec.Struct, array_like=True, forbid_unknown_fields=True, gc=Fa
             return NotImplemented
         return _encode(self) == _encode(other)
 
-    def __ne__(self, other: object) -> bool:  # Struct has one of its own, which knows nothing of arrays
+    def __ne__(self, other: object) -> bool:  # Struct's own does not support arrays
         return not self == other
 
     __hash__ = None  # type: ignore[assignment]  # messages are mutable
 
 
 M = TypeVar("M", bound=Message)
+Integer = Annotated[int, msgspec.Meta(ge=-(2**63), le=2**63 - 1)]  # msgpack also has unsigned ones
+
+
+class Schema(msgspec.Struct, frozen=True):
+    """Fields and types of a message.
+
+    Attributes:
+        name: of the class.
+        types: list of [field, type] by class name, for the class and every message that it contains. A type is
+            ``int``, ``float``, ``bool``, ``str``, ``bytes``, ``float64[]``, ``uint8[]``, ``list<T>``, ``T?`` (or
+            none), or a class name.
+    """
+
+    name: str
+    types: dict[str, list[list[str]]]
+
+    @property
+    def has_arrays(self) -> bool:
+        """True if a field, or a field of a contained message, is an array or a list of arrays."""
+        return any("[]" in kind for fields in self.types.values() for _, kind in fields)
+
+    def digest(self) -> bytes:
+        """Hash of eight bytes: BLAKE2b of the schema as canonical JSON."""
+        content = [self.name, self.types]
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        return hashlib.blake2b(text.encode(), digest_size=8).digest()

@@ -1,6 +1,6 @@
-"""Who is there, by topic: what one node knows of the network.
+"""A node's copy of the table: all nodes, indexed by topic.
 
-The discovery thread fills it; whoever connects holds a ``Watch`` of one topic's publishers or servers.
+The discovery thread updates it; subscribers and clients hold a ``Watch`` of one topic's publishers or servers.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from bifrost import directory as d
-from bifrost.schema import Schema
+from bifrost.messages import Schema
 
-# How long subscribers stay connected to the publishers of a node that is no longer in the table [s]: what it sent last
-# may be on its way; a starved machine makes the living silent; a new daemon does not know everybody at once; and while
-# a daemon is away its nodes go on.
+# Time that subscribers remain connected to publishers of a node that has left the table [s]: its last messages may be
+# under way; on a busy machine, nodes time out although they run; a new daemon does not have all nodes at once; and
+# nodes run on while their daemon is down.
 _KEPT: dict[d.Reason, float] = {"left": 1.0, "lost": 3.0, "silent": 10.0, "forgotten": 10.0, "unreachable": 600.0}
 _MAYBE_ALIVE: frozenset[d.Reason] = frozenset(("silent", "forgotten", "unreachable"))
 
@@ -23,19 +23,19 @@ _Key = tuple[d.Kind, str]
 
 @dataclass(frozen=True)
 class Peer:
-    """An entry of a node, and whose it is."""
+    """An entry with its node."""
 
     node: str
     incarnation: int
     computer: str
     started: int
     entry: d.Entry
-    alive: bool  # as far as is known; False: gone, and what it sent last may still be on its way
+    alive: bool  # False: the node has ended; its last messages may be under way
 
 
 @dataclass
 class Watch:
-    """The peers of one topic; the last is the one to call. ``peers`` is replaced as a whole."""
+    """The peers of one topic; clients call the last. ``peers`` is replaced as a whole."""
 
     kind: d.Kind
     topic: str
@@ -47,20 +47,20 @@ class Watch:
 class _Departed:
     record: d.NodeRecord
     until: float
-    alive: bool  # it may be
+    alive: bool  # possibly
 
 
 class Neighbors:
-    """Every node known, indexed by topic. Not locked: that is the owner's part.
+    """All nodes, indexed by topic. Without a lock: the owner locks.
 
     Attributes:
-        nodes: the others' records, as the daemon has them now.
-        epoch: of the daemon that they come from.
+        nodes: records of the other nodes, as in the daemon's table.
+        epoch: of the daemon.
         version: of its table; −1 before the first.
     """
 
     def __init__(self, here: str) -> None:
-        """Of a node on the computer ``here``."""
+        """Start empty, for a node on the computer ``here``."""
         self._here = here
         self.nodes: dict[int, d.NodeRecord] = {}
         self.epoch = 0
@@ -72,10 +72,10 @@ class Neighbors:
         self._watches: dict[_Key, list[Watch]] = {}
         self._changed: set[_Key] = set()
 
-    # --- filling --------------------------------------------------------------------------------------------------
+    # --- updating -------------------------------------------------------------------------------------------------
 
     def replace(self, records: Iterable[d.NodeRecord], epoch: int, version: int) -> None:
-        """Take a whole table."""
+        """Replace the table."""
         new = {record.incarnation: record for record in records}
         reason: d.Reason = "lost" if epoch == self.epoch else "forgotten"
         for incarnation in [i for i in self.nodes if i not in new]:
@@ -85,7 +85,7 @@ class Neighbors:
         self.epoch, self.version = epoch, version
 
     def put(self, record: d.NodeRecord) -> None:
-        """A node is new or has changed."""
+        """Add or replace a node."""
         incarnation = record.incarnation
         departed = self._departed.pop(incarnation, None)
         old = departed.record if departed else self.nodes.get(incarnation)
@@ -95,12 +95,12 @@ class Neighbors:
         self._unindex(incarnation, before.keys() - now.keys())
         for key, entries in now.items():
             self._ends.setdefault(key, {})[incarnation] = entries
-        # Of a node with a thousand topics, one of which is new, no other is looked at again.
+        # Of a node with a thousand topics, only changed ones are processed again.
         every = before.keys() | now.keys()
         self._changed |= every if departed else {key for key in every if before.get(key) != now.get(key)}
 
     def depart(self, incarnation: int, reason: d.Reason) -> None:
-        """A node is no longer in the table. Whoever is connected to it may stay so for a while."""
+        """Remove a node from the table. Connections to it persist for a while."""
         record = self.nodes.pop(incarnation, None)
         if record is None and incarnation in self._departed:
             record = self._departed[incarnation].record
@@ -109,7 +109,7 @@ class Neighbors:
             self._changed |= _by_key(record.entries).keys()
 
     def forget_departed(self) -> None:
-        """Let go of those whose time is over."""
+        """Discard departed nodes after their time."""
         now = time.monotonic()
         for incarnation in [i for i, departed in self._departed.items() if now > departed.until]:
             record = self._departed.pop(incarnation).record
@@ -118,13 +118,13 @@ class Neighbors:
             self._changed |= keys
 
     def add_own(self, record: d.NodeRecord, entry: d.Entry) -> None:
-        """This node has one entry more. ``record`` tells of the node alone: its entries are not looked at."""
+        """Add an entry of this node; ``record`` describes the node, its entries are not used."""
         self._own_record = record
         self._own.setdefault((entry.kind, entry.topic), []).append(entry)
         self._changed.add((entry.kind, entry.topic))
 
     def remove_own(self, entry: d.Entry) -> None:
-        """This node has one entry less."""
+        """Remove an entry of this node."""
         key = (entry.kind, entry.topic)
         self._own[key].remove(entry)
         if not self._own[key]:
@@ -139,15 +139,15 @@ class Neighbors:
                 if not ends:
                     del self._ends[key]
 
-    # --- looking --------------------------------------------------------------------------------------------------
+    # --- reading --------------------------------------------------------------------------------------------------
 
     @property
     def any_departed(self) -> bool:
-        """Whether there is anybody to forget some time."""
+        """True if departed nodes are stored."""
         return bool(self._departed)
 
     def schema(self, digest: str) -> Schema | None:
-        """The schema of a hash (hexadecimal), if any other node has registered it, and truly."""
+        """The schema of a hash (hexadecimal), if another node has registered it and the hash is right."""
         departed = (each.record for each in self._departed.values())
         for record in (*self.nodes.values(), *departed):
             schema = record.schemas.get(digest)
@@ -156,19 +156,19 @@ class Neighbors:
         return None
 
     def watch(self, watch: Watch) -> None:
-        """Keep a watch's peers up to date, and tell it of changes."""
+        """Update a watch's peers, and notify it of changes."""
         watch.peers = self._peers(watch.kind, watch.topic)
         self._watches.setdefault((watch.kind, watch.topic), []).append(watch)
 
     def unwatch(self, watch: Watch) -> None:
-        """Let a watch go."""
+        """Remove a watch."""
         watches = self._watches[watch.kind, watch.topic]
         watches.remove(watch)
         if not watches:
             del self._watches[watch.kind, watch.topic]
 
     def refresh(self) -> None:
-        """Tell the watches whose topics have changed."""
+        """Notify the watches of changed topics."""
         changed, self._changed = self._changed, set()
         for key in changed:
             for watch in self._watches.get(key, ()):
@@ -178,9 +178,9 @@ class Neighbors:
                     watch.notify()
 
     def _peers(self, kind: d.Kind, topic: str) -> tuple[Peer, ...]:
-        """Those in the table last; of these those of this computer; of each computer's the node started last.
+        """Peers in order: departed nodes, then other computers, then this one; on each, by start of the node.
 
-        Of the departed, those that matter.
+        Departed nodes are included if they are publishers, or possibly alive.
         """
         found: list[tuple[bool, Peer]] = []
         for incarnation, entries in self._ends.get((kind, topic), {}).items():

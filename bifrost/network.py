@@ -1,8 +1,8 @@
-"""The network: which computers there are, where their daemons listen, and the keys that admit a node.
+"""The network: computers, addresses of their daemons, and the keys that admit a node.
 
-The network file is JSON; the keys folder holds one CURVE key pair for everything that listens (``server.key``) and
-one for everything that connects (``client.key``). Whoever can read the folder is a member; nobody else gets a byte.
-Owners of topics (``bifrost.grants``) have a key pair each, with which they listen and connect instead.
+The network file is JSON. The keys folder has one CURVE key pair for sockets that listen (``server.key``), and one for
+those that connect (``client.key``); owners of topics (``bifrost.grants``) use their own. Processes that can read the
+folder are members; others get no data.
 """
 
 from __future__ import annotations
@@ -10,38 +10,43 @@ from __future__ import annotations
 import json
 import os
 import random
-import re
 import socket
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import zmq
 
 from bifrost.errors import ConfigurationError
-from bifrost.grants import DAEMON, NONE, Charter, Grants
+from bifrost.grants import DAEMON, NONE, AccessPolicy, Grants
 
 _VERSION = 1
 _KEY_LENGTH = 40  # Z85 text of a CURVE key
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,62}")
-# Below Linux' ephemeral ports, so that no outgoing connection takes the daemon's port while it is away.
+# Below Linux' ephemeral ports, so that no outgoing connection takes the daemon's port while it is down.
 _DAEMON_PORTS = range(20000, 32768)
 
 
 @dataclass(frozen=True)
 class Computer:
-    """One computer of the network and where its daemon listens."""
+    """One computer of the network, with the address of its daemon."""
 
-    name: str
-    host: str
-    port: int
+    name: Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,62}$")]
+    host: Annotated[str, msgspec.Meta(min_length=1)]
+    port: Annotated[int, msgspec.Meta(ge=1, le=65535)]
 
     @property
     def daemon(self) -> str:
         """The daemon's ZeroMQ endpoint."""
         return f"tcp://{self.host}:{self.port}"
+
+
+class _Content(msgspec.Struct):
+    """Computers in the network file; ``here`` is the computer of this copy."""
+
+    computers: Annotated[tuple[Computer, ...], msgspec.Meta(min_length=1)]
+    here: str | None = None
 
 
 @dataclass(frozen=True)
@@ -53,45 +58,35 @@ class KeyPair:
 
     @classmethod
     def new(cls) -> KeyPair:
-        """A fresh one."""
+        """Generate a key pair."""
         return cls(*zmq.curve_keypair())
 
 
 @dataclass(frozen=True)
 class Network:
-    """Everything a node needs to join.
-
-    Attributes:
-        computers: all of the network.
-        computer: the one that this process runs on.
-        server: the keys of whatever listens, owners excepted.
-        client: the keys of whatever connects, owners excepted.
-        grants: what is whose alone.
-        own: the keys of this process, if it is an owner.
-        keepsake: the file in which this computer's daemon leaves its table; None: it leaves none.
-    """
+    """Settings with which a node joins."""
 
     computers: tuple[Computer, ...]
-    computer: Computer
-    server: KeyPair
-    client: KeyPair
+    computer: Computer  # that this process runs on
+    server: KeyPair  # of listening sockets, owners excepted
+    client: KeyPair  # of connecting sockets, owners excepted
     grants: Grants = NONE
-    own: KeyPair | None = None
-    keepsake: Path | None = None
+    own: KeyPair | None = None  # of this process, if it is an owner
+    table_cache: Path | None = None  # file of the daemon's table on disk
 
     @property
     def listening(self) -> KeyPair:
-        """What this process listens with."""
+        """Keys of this process' listening sockets."""
         return self.own or self.server
 
     @property
     def connecting(self) -> KeyPair:
-        """What this process connects with."""
+        """Keys of this process' connecting sockets."""
         return self.own or self.client
 
     @property
     def own_key(self) -> str:
-        """The public key by which this process is known; empty: it has none of its own."""
+        """Public key of this process; empty: not an owner."""
         return self.own.public.decode() if self.own else ""
 
     @property
@@ -101,12 +96,12 @@ class Network:
 
     @property
     def owner(self) -> str:
-        """The owner that this process is, or ``member``."""
+        """Name of this process as an owner, or ``member``."""
         return self.grants.owner_of(self.own_key)
 
     @property
     def others(self) -> tuple[Computer, ...]:
-        """The computers of the network but this one."""
+        """The other computers of the network."""
         return tuple(computer for computer in self.computers if computer != self.computer)
 
     @classmethod
@@ -117,17 +112,17 @@ class Network:
         computer: str | None = None,
         own_key: Path | str | None = None,
     ) -> Network:
-        """Read a network file and its keys.
+        """Read a network file and the keys ``server.key`` and ``client.key``.
 
         Args:
             network_file: JSON, as ``create`` writes it.
-            keys_folder: holds ``server.key`` and ``client.key``.
-            computer: the name of the computer that this process runs on; else ``BIFROST_COMPUTER``, else the file's
-                ``here``; may be left out when there is only one.
-            own_key: the key pair of the owner that this process is; of a network without owners it is not looked at.
+            keys_folder: of the two keys.
+            computer: name of the computer that this process runs on; default ``BIFROST_COMPUTER``, then the file's
+                ``here``, then the only one.
+            own_key: key pair of this process as an owner; ignored in a network without owners.
 
         Raises:
-            ConfigurationError: a file is missing, unreadable to us, readable to others, or not what is expected.
+            ConfigurationError: a file is missing, unreadable, readable by others, or invalid.
         """
         computers, grants, here = _read_network(Path(network_file))
         name = computer or os.environ.get("BIFROST_COMPUTER") or here
@@ -147,7 +142,7 @@ class Network:
         if own is not None and own.public.decode() not in grants.owners.values():
             raise ConfigurationError(f"{own_key}: no key of an owner that {network_file} names")
         server, client = _read_keys(keys / "server.key"), _read_keys(keys / "client.key")
-        return cls(computers, ours, server, client, grants, own, _keepsake(Path(network_file), ours))
+        return cls(computers, ours, server, client, grants, own, _table_cache(Path(network_file), ours))
 
     @classmethod
     def create(
@@ -156,22 +151,22 @@ class Network:
         keys_folder: Path | str,
         host: str = "127.0.0.1",
         ports: Sequence[int] = _DAEMON_PORTS,
-        charter: Charter | None = None,
+        policy: AccessPolicy | None = None,
     ) -> Network:
-        """Write the network file of one computer, and fresh keys.
+        """Write the network file of one computer, and new keys.
 
         Args:
-            network_file: overwritten when it exists; its folder is made.
-            keys_folder: made with mode 0700; keys in it are overwritten, mode 0600.
-            host: the address of this computer's interface that everything listens on.
-            ports: of which the daemon gets one that is free.
-            charter: what is granted to whom; None: everybody may publish and serve everything.
+            network_file: replaced if it exists.
+            keys_folder: made with mode 0700; its keys are replaced, mode 0600.
+            host: address that all sockets of this computer listen on.
+            ports: candidates for the daemon's port.
+            policy: owners and their rights; None: all members may publish and serve all topics.
 
         Raises:
             ConfigurationError: the files cannot be written, or no port is free.
         """
         computer = Computer("localhost", host, _free_port(host, ports))
-        return cls.create_for([computer], network_file, keys_folder, charter)
+        return cls.create_for([computer], network_file, keys_folder, policy)
 
     @classmethod
     def create_for(
@@ -179,18 +174,14 @@ class Network:
         computers: Sequence[Computer],
         network_file: Path | str,
         keys_folder: Path | str,
-        charter: Charter | None = None,
+        policy: AccessPolicy | None = None,
     ) -> Network:
-        """Write the network file of several computers, and fresh keys; both belong on every one of them.
+        """Write the network file of several computers, and new keys, for all computers; see ``create``.
 
-        Args:
-            computers: all of the network; the returned one is the first's.
-            network_file: as for ``create``.
-            keys_folder: as for ``create``.
-            charter: as for ``create``. An owner's key belongs where its process runs; the daemon's on all computers.
+        An owner's key belongs where its process runs; the daemon's on all computers.
 
-        Raises:
-            ConfigurationError: the files cannot be written.
+        Returns:
+            The network of the first computer.
         """
         network_file, keys_folder = Path(network_file), Path(keys_folder)
         server, client = KeyPair.new(), KeyPair.new()
@@ -198,13 +189,13 @@ class Network:
             network_file.parent.mkdir(parents=True, exist_ok=True)
             _write_keys(keys_folder / "server.key", server)
             _write_keys(keys_folder / "client.key", client)
-            grants = _issue(charter) if charter else NONE
+            grants = _issue(policy) if policy else NONE
             content = {"version": _VERSION, "computers": [asdict(computer) for computer in computers]} | grants.plain()
             write_private(network_file, json.dumps(content, indent=2).encode() + b"\n")
         except OSError as error:
             raise ConfigurationError(f"{error.filename or keys_folder}: {error.strerror}") from None
         return cls(
-            tuple(computers), computers[0], server, client, grants, keepsake=_keepsake(network_file, computers[0])
+            tuple(computers), computers[0], server, client, grants, table_cache=_table_cache(network_file, computers[0])
         )
 
     @classmethod
@@ -212,51 +203,41 @@ class Network:
         """The network that ``BIFROST_NETWORK`` (the file) and ``BIFROST_KEYS`` (the folder) name.
 
         Args:
-            owner: that this process is, if the network has owners; its key is found under ``BIFROST_OWNERS`` (the
-                charter's folder).
+            owner: name of this process, if it has a key in ``BIFROST_OWNERS`` (the policy's folder).
 
         Raises:
             ConfigurationError: a variable is not set, or as ``load``.
         """
-        values = []
         for variable, what in (("BIFROST_NETWORK", "the network file"), ("BIFROST_KEYS", "the keys folder")):
-            value = os.environ.get(variable)
-            if not value:
+            if not os.environ.get(variable):
                 raise ConfigurationError(f"{variable} is not set: expected the path of {what}")
-            values.append(value)
-        network_file, keys_folder = values
         folder = os.environ.get("BIFROST_OWNERS")
         own_key = own_key_file(Path(folder), owner) if owner and folder else None
-        return cls.load(network_file, keys_folder, own_key=own_key)
+        return cls.load(os.environ["BIFROST_NETWORK"], os.environ["BIFROST_KEYS"], own_key=own_key)
 
 
-def copy_for(content: bytes, computer: str, among: Collection[str] | None = None) -> bytes:
-    """A network file as it belongs on one of its computers, whose processes need not be told where they are.
-
-    ``among``: the computers of which it knows; None: all.
-    """
-    told = json.loads(content) | {"here": computer}
-    told["computers"] = [each for each in told["computers"] if among is None or each["name"] in among]
-    return json.dumps(told, indent=2).encode() + b"\n"
+def copy_for(content: bytes, computer: str) -> bytes:
+    """The network file for one of its computers, whose name it states as ``here``."""
+    return json.dumps(json.loads(content) | {"here": computer}, indent=2).encode() + b"\n"
 
 
 def own_key_file(folder: Path, owner: str) -> Path:
-    """Where a charter's folder has an owner's key pair."""
+    """Path of an owner's key pair in a policy's folder."""
     return folder / owner / "own.key"
 
 
-def _keepsake(network_file: Path, computer: Computer) -> Path:
+def _table_cache(network_file: Path, computer: Computer) -> Path:
     return network_file.with_name(f"{network_file.stem}.{computer.name}.nodes")
 
 
-def _issue(charter: Charter) -> Grants:
-    """Make a key pair for every owner."""
+def _issue(policy: AccessPolicy) -> Grants:
+    """Write a key pair for each owner."""
     public = {}
-    for owner in charter.owners:
+    for owner in policy.owners:
         pair = KeyPair.new()
-        _write_keys(own_key_file(charter.folder, owner), pair)
+        _write_keys(own_key_file(policy.folder, owner), pair)
         public[owner] = pair.public.decode()
-    tables = ({name: tuple(owners) for name, owners in t.items()} for t in (charter.publishers, charter.servers))
+    tables = ({name: tuple(owners) for name, owners in t.items()} for t in (policy.publishers, policy.servers))
     return Grants(public, *tables)
 
 
@@ -268,7 +249,7 @@ def _write_keys(file: Path, pair: KeyPair) -> None:
 
 
 def _free_port(host: str, ports: Sequence[int]) -> int:
-    # Not the first: who takes one before that daemon listens would take the same.
+    # Random: concurrent starts would choose the same port before one of the daemons listens.
     for port in random.SystemRandom().sample(ports, min(len(ports), 200)):
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
             try:
@@ -281,7 +262,7 @@ def _free_port(host: str, ports: Sequence[int]) -> int:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Write through a new file of mode 0600, so that no reader ever sees half of it or a looser mode.
+    """Replace a file atomically, with mode 0600.
 
     Raises:
         OSError: it cannot be written.
@@ -298,34 +279,27 @@ def write_private(path: Path, content: bytes) -> None:
 
 
 def _read_network(path: Path) -> tuple[tuple[Computer, ...], Grants, str | None]:
-    """The computers, the grants, and the name of the computer that this copy of the file is for."""
+    """The computers, the grants, and the computer of this copy of the file."""
     try:
-        content = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise ConfigurationError(f"{path}: no such network file") from None
-    except OSError as error:
-        raise ConfigurationError(f"{path}: {error.strerror}") from None
+        content = json.loads(_read(path, "network file"))
     except ValueError as error:
         raise ConfigurationError(f"{path}: expected JSON: {error}") from None
     if not isinstance(content, dict) or content.get("version") != _VERSION:
         raise ConfigurationError(f"{path}: version: expected {_VERSION}")
-    entries = content.get("computers")
-    if not isinstance(entries, list) or not entries:
-        raise ConfigurationError(f"{path}: computers: expected a list of at least one computer")
-    computers = tuple(_read_computer(path, index, entry) for index, entry in enumerate(entries))
-    if len({computer.name for computer in computers}) != len(computers):
+    try:
+        listed = msgspec.convert(content, _Content)
+    except msgspec.ValidationError as error:
+        raise ConfigurationError(f"{path}: {error}") from None
+    if len({computer.name for computer in listed.computers}) != len(listed.computers):
         raise ConfigurationError(f"{path}: computers: expected names that differ")
-    here = content.get("here")
-    if here is not None and not isinstance(here, str):
-        raise ConfigurationError(f"{path}: here: expected the name of a computer, got {here!r}")
-    return computers, read_grants(content, path), here
+    return listed.computers, read_grants(content, path), listed.here
 
 
 def read_grants(content: Mapping[str, Any], where: Path) -> Grants:
     """The grants of a network file.
 
     Raises:
-        ConfigurationError: they are not what is expected.
+        ConfigurationError: they are invalid.
     """
     names = dict[str, tuple[str, ...]]
     try:
@@ -346,36 +320,26 @@ def read_grants(content: Mapping[str, Any], where: Path) -> Grants:
     return grants
 
 
-def _read_computer(path: Path, index: int, entry: object) -> Computer:
-    where = f"{path}: computers[{index}]"
-    if not isinstance(entry, dict):
-        raise ConfigurationError(f"{where}: expected an object with name, host and port")
-    name, host, port = entry.get("name"), entry.get("host"), entry.get("port")
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise ConfigurationError(f"{where}.name: expected letters, digits, _, . and -, got {name!r}")
-    if not isinstance(host, str) or not host:
-        raise ConfigurationError(f"{where}.host: expected an address, got {host!r}")
-    if not isinstance(port, int) or isinstance(port, bool) or not 0 < port < 2**16:
-        raise ConfigurationError(f"{where}.port: expected 1 to 65535, got {port!r}")
-    return Computer(name, host, port)
-
-
 def _read_keys(path: Path) -> KeyPair:
-    try:
-        mode = path.stat().st_mode & 0o777
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise ConfigurationError(f"{path}: no such Bifrost key") from None
-    except OSError as error:
-        raise ConfigurationError(f"{path}: {error.strerror}") from None
+    content = _read(path, "Bifrost key")
+    mode = path.stat().st_mode & 0o777
     if mode & 0o077:
-        raise ConfigurationError(f"{path}: mode {mode:04o}: expected 0600, readable by its owner alone")
-    lines = content.split()
-    if [len(line) for line in lines] != [_KEY_LENGTH, _KEY_LENGTH]:
-        raise ConfigurationError(f"{path}: expected a public and a secret key of {_KEY_LENGTH} characters each")
+        raise ConfigurationError(f"{path}: mode {mode:04o}: expected 0600, readable only by its owner")
     try:
-        if zmq.curve_public(lines[1]) != lines[0]:
+        public, secret = content.split()
+        if zmq.curve_public(secret) != public:
             raise ValueError
     except (ValueError, zmq.ZMQError):
-        raise ConfigurationError(f"{path}: expected a CURVE key pair; these keys do not belong together") from None
-    return KeyPair(lines[0], lines[1])
+        raise ConfigurationError(
+            f"{path}: expected a CURVE key pair: a public key and its secret key, of {_KEY_LENGTH} characters each"
+        ) from None
+    return KeyPair(public, secret)
+
+
+def _read(path: Path, what: str) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such {what}") from None
+    except OSError as error:
+        raise ConfigurationError(f"{path}: {error.strerror}") from None

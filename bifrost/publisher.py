@@ -1,4 +1,4 @@
-"""Publishing: one socket a node, one sequence a publisher."""
+"""Publishers: one socket for each node, one sequence for each publisher."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ _NOBLOCK = int(zmq.NOBLOCK)
 _MAX_SIZE = wire.MAX_MESSAGE_SIZE
 
 
-class Outlet:
-    """The socket that all publishers of a node share, with the lock that lets them live in different threads."""
+class PublisherSocket:
+    """The socket of all publishers of a node, with a lock for their threads."""
 
-    HIGH_WATER_MARK = 1000  # messages held for a subscriber that does not read; more are dropped for it alone
+    HIGH_WATER_MARK = 1000  # messages queued for each subscriber; further ones are dropped for it
 
     def __init__(self, socket: zmq.Socket[bytes], host: str) -> None:
         socket.setsockopt(zmq.SNDHWM, self.HIGH_WATER_MARK)
-        socket.setsockopt(zmq.LINGER, 100)  # what was published last still leaves when the node closes
+        socket.setsockopt(zmq.LINGER, 100)  # the last messages are still sent when the node closes
         socket.bind(f"tcp://{host}:*")
         self.endpoint = socket.getsockopt_string(zmq.LAST_ENDPOINT)
         self.socket = socket
         self.lock = threading.Lock()
-        # What zmq.Socket.send calls when it has looked at arguments that are not given here.
+        # zmq.Socket.send without its checks of arguments that are not used here.
         self._send = functools.partial(zmq.backend.Socket.send, socket)
 
     def send(self, frame: bytearray) -> None:
-        """Give a frame to whoever subscribes; never blocks."""
+        """Send a frame to all subscribers; never blocks."""
         with self.lock:
             self._send(frame, _NOBLOCK)
 
 
-class Latch(Outlet):
-    """The socket of one latched publisher: whoever subscribes gets the last message, once and for itself.
+class Latch(PublisherSocket):
+    """The socket of one latched publisher: each new subscriber gets the last message, once.
 
-    The socket (XPUB, manual) subscribes nobody by itself. Each newcomer is subscribed to what is published and, for a
-    moment, to the last message, sent to it alone. ZeroMQ wakes one reader for all that has come; whoever takes
-    the lock therefore serves all newcomers.
+    The socket (XPUB, manual) does not subscribe peers automatically. Each new peer is subscribed to future messages
+    and, temporarily, to the last message, which is sent to it only. ZeroMQ wakes one reader for all events; the holder
+    of the lock therefore serves all new peers.
     """
 
     def __init__(self, socket: zmq.Socket[bytes], host: str, topic: str, discovery: Discovery) -> None:
@@ -63,14 +63,14 @@ class Latch(Outlet):
         discovery.attend(self._descriptor, self._admit)
 
     def send(self, frame: bytearray) -> None:
-        """Give a frame to whoever subscribes, and keep it for those to come; never blocks."""
+        """Send a frame to all subscribers, and store it for later ones; never blocks."""
         with self.lock:
             self._serve_newcomers()
             self._last = bytes(frame)
             self.socket.send(frame, zmq.NOBLOCK)
 
     def close(self) -> None:
-        """Close the socket; from now on newcomers get nothing."""
+        """Close the socket; later subscribers get no message."""
         self._discovery.leave_alone(self._descriptor, self.socket.close)
 
     def _admit(self) -> None:
@@ -88,9 +88,9 @@ class Latch(Outlet):
             if subscription != self._subscription:
                 continue
             self.subscribers += 1
-            # What is set here concerns the subscription's sender, until libzmq looks at its mail, as `send` may: the
-            # end of another subscription found there makes it forget whom this is about. Then the newcomer goes on
-            # hearing what is sent to later ones alone; it knows that it has had that.
+            # These options apply to the sender of the subscription, until libzmq processes other events, as `send` may:
+            # the end of another subscription makes it lose the sender. The new peer then also receives messages sent
+            # to later peers, and ignores them by their sequence.
             self.socket.setsockopt(zmq.SUBSCRIBE, self._name + bytes([wire.VERSION]))
             if self._last:
                 alone = self._name + wire.LATCHED
@@ -102,33 +102,33 @@ class Latch(Outlet):
 class Publisher(Generic[M]):
     """Publishes messages of one type on one topic. Made by ``Node.publisher``."""
 
-    def __init__(self, discovery: Discovery, outlet: Outlet, topic: str, message_type: type[M]) -> None:
+    def __init__(self, discovery: Discovery, socket: PublisherSocket, topic: str, message_type: type[M]) -> None:
         self.topic = topic
         self._discovery = discovery
         self._codec = codec(message_type)
         self._encode_into = self._codec.encode_into
         self._type = message_type
-        self._outlet = outlet
-        self._send = outlet.send
+        self._socket = socket
+        self._send = socket.send
         self._sequence = 0
-        incarnation = secrets.randbits(64)  # a publisher made anew is no gap in the sequence
+        incarnation = secrets.randbits(64)  # a new publisher is not a gap in the sequence
         origin = discovery.name.encode()
         constant = topic.encode() + b"\0" + wire.PUBLICATION_CONSTANT.pack(wire.VERSION, self._codec.hash, incarnation)
-        # One buffer for all messages: of each, what differs is written over the last. ZeroMQ takes a copy.
+        # One buffer for all messages: each overwrites the variable parts. ZeroMQ copies it.
         self._frame = bytearray(constant + bytes(wire.PUBLICATION_VARIABLE.size) + bytes([len(origin)]) + origin)
         self._variable, self._payload = len(constant), len(self._frame)
         self._pack_into = wire.PUBLICATION_VARIABLE.pack_into
         self._closed = False
-        latched = isinstance(outlet, Latch)
+        latched = isinstance(socket, Latch)
         key = discovery.network.own_key
-        entry = Entry("publisher", topic, (self._codec.name,), (self._codec.hash.hex(),), outlet.endpoint, latched, key)
-        self._key = discovery.announce(entry, [self._codec.schema], self, lambda: (self._sequence, 0, 0))
+        entry = Entry("publisher", topic, (self._codec.name,), (self._codec.hash.hex(),), socket.endpoint, latched, key)
+        self._key = discovery.announce(entry, [self._codec.schema], self)
 
     def publish(self, message: M) -> int:
-        """Send a message to whoever subscribes; never blocks. Returns its sequence number, from 1.
+        """Send a message to all subscribers; never blocks. Returns its sequence number, from 1.
 
         Raises:
-            TypeError: the message is of another type, or a field does not hold what its type says.
+            TypeError: the message or a field is of another type.
             Error: the publisher is closed, or the message is larger than ``wire.MAX_MESSAGE_SIZE``.
         """
         if type(message) is not self._type:
@@ -150,13 +150,13 @@ class Publisher(Generic[M]):
 
     @property
     def subscribers(self) -> int:
-        """How many are connected to a latched publisher; of another, which cannot know, none."""
-        return self._outlet.subscribers if isinstance(self._outlet, Latch) else 0
+        """Number of peers connected to a latched publisher; 0 for others, which cannot count them."""
+        return self._socket.subscribers if isinstance(self._socket, Latch) else 0
 
     def close(self) -> None:
         """Withdraw the topic."""
         if not self._closed:
             self._closed = True
             self._discovery.withdraw(self._key)
-            if isinstance(self._outlet, Latch):
-                self._outlet.close()
+            if isinstance(self._socket, Latch):
+                self._socket.close()

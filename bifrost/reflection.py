@@ -1,18 +1,18 @@
-"""Reflection: the fields of a message type, its schema, and a class made of a schema for tools that lack the type's."""
+"""Reflection for tools: fields and schema of a message type, classes made from schemas, conversion to JSON types."""
 
 from __future__ import annotations
 
+import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 from typing import Any
 
 import msgspec
 
 from bifrost.errors import SchemaError
-from bifrost.messages import ArrayKind, Float64Array, Message, Uint8Array
-from bifrost.schema import Schema
+from bifrost.messages import ArrayKind, Float64Array, Integer, M, Message, Schema, Uint8Array
 
 _PLAIN: dict[str, Any] = {
     "int": int,
@@ -29,7 +29,7 @@ def schema_of(message_type: type[Message]) -> Schema:
     """The schema of a message type.
 
     Raises:
-        TypeError: a field is of a type that no message can have; names it.
+        TypeError: a field has an unsupported type; names the field.
     """
     described: dict[str, list[list[str]]] = {}
     _describe(message_type, described, {})
@@ -38,7 +38,7 @@ def schema_of(message_type: type[Message]) -> Schema:
 
 @cache
 def field_types(message_type: type[Message]) -> Mapping[str, Any]:
-    """The annotations of a message type's fields, as they were declared, whatever codecs make of them."""
+    """The annotations of a message type's fields as declared, unchanged by codecs."""
     types = typing.get_type_hints(message_type, include_extras=True)
     for base in message_type.__bases__:
         if issubclass(base, Message):
@@ -98,7 +98,7 @@ def _describe_type(
     if isinstance(annotation, type) and issubclass(annotation, Message):
         _describe(annotation, described, classes)
         return annotation.__name__
-    raise TypeError(f"{where}: {annotation!r} is no type of a message field; see bifrost.Message")
+    raise TypeError(f"{where}: {annotation!r} is not supported in a message; see bifrost.Message")
 
 
 def type_from_schema(schema: Schema) -> type[Message]:
@@ -141,3 +141,85 @@ def _parse_type(text: str, made: Mapping[str, type[Message]]) -> Any:
     if text in made:
         return made[text]
     raise SchemaError(f"no type {text!r}")
+
+
+def to_builtins(value: Any) -> Any:
+    """A message as dict: arrays as lists, bytes as hexadecimal text, non-finite numbers as None."""
+    if isinstance(value, Message):
+        return {name: to_builtins(getattr(value, name)) for name in value.__struct_fields__}
+    if isinstance(value, list):
+        return [to_builtins(element) for element in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, bytes):
+        return value.hex()
+    if value is None or isinstance(value, (int, str)):
+        return value
+    return to_builtins(value.tolist())
+
+
+def lines(value: Mapping[str, Any], indent: str = "") -> Iterator[str]:
+    """Result of ``to_builtins`` as YAML-like lines: flat lists in one line, six digits a number."""
+    for name, field in value.items():
+        if isinstance(field, dict):
+            yield f"{indent}{name}:"
+            yield from lines(field, indent + "  ")
+        elif isinstance(field, list) and any(isinstance(element, dict) for element in field):
+            yield f"{indent}{name}:"
+            for index, element in enumerate(field):
+                yield f"{indent}  [{index}]"
+                yield from lines(element, indent + "    ")
+        elif isinstance(field, list):
+            yield f"{indent}{name}: [{', '.join(number(element) for element in field)}]"
+        else:
+            yield f"{indent}{name}: {number(field)}"
+
+
+def number(value: Any) -> str:
+    """A value with six digits; None is NaN."""
+    if value is None:
+        return "nan"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def from_json(message_type: type[M], text: str) -> M:
+    """A message from JSON, the inverse of ``to_builtins``; null numbers become NaN.
+
+    Raises:
+        SchemaError: invalid JSON, or a field is missing, unknown or of another type.
+    """
+    try:
+        return typing.cast("M", _from_json(message_type, msgspec.json.decode(text, type=_json_type(message_type))))
+    except (ValueError, OverflowError, RecursionError) as error:
+        fields = ", ".join(message_type.__struct_fields__)
+        raise SchemaError(f"{message_type.__name__}: {error}; expected an object of {fields}") from None
+
+
+def _json_type(annotation: Any) -> Any:
+    """The type of a field in JSON."""
+    if (kind := array_kind(annotation)) is not None:
+        return list[float | None] if kind is ArrayKind.FLOAT64 else list[int]
+    if (inner := list_type(annotation)) is not None:
+        return list[_json_type(inner)]  # type: ignore[misc]
+    if (inner := optional_type(annotation)) is not None:
+        return _json_type(inner) | None
+    if isinstance(annotation, type) and issubclass(annotation, Message):
+        fields = [(name, _json_type(field)) for name, field in field_types(annotation).items()]
+        return msgspec.defstruct(annotation.__name__, fields, forbid_unknown_fields=True)
+    return {int: Integer, float: float | None, bytes: str}.get(annotation, annotation)
+
+
+def _from_json(annotation: Any, value: Any) -> Any:
+    if (kind := array_kind(annotation)) is not None:
+        import numpy as np  # slow import, needed for arrays only
+
+        return np.array([math.nan if element is None else element for element in value], kind.value)
+    if (inner := list_type(annotation)) is not None:
+        return [_from_json(inner, element) for element in value]
+    if (inner := optional_type(annotation)) is not None:
+        return None if value is None else _from_json(inner, value)
+    if isinstance(value, msgspec.Struct):
+        return annotation(*(_from_json(field, getattr(value, name)) for name, field in field_types(annotation).items()))
+    if annotation is bytes:
+        return bytes.fromhex(value)
+    return math.nan if value is None else value

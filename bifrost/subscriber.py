@@ -1,10 +1,10 @@
-"""Subscribing: one socket a subscriber, so that depth and pace are its own."""
+"""Subscribers: each has its own socket and queue."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any, Generic, Literal
+from typing import Any, Generic
 
 import msgspec
 import zmq
@@ -12,16 +12,12 @@ import zmq
 from bifrost.directory import Entry
 from bifrost.discovery import Discovery
 from bifrost.encoding import Codec, codec
-from bifrost.errors import SchemaError
 from bifrost.intake import Checked, Intake
 from bifrost.limits import LOOKS, Limit
 from bifrost.messages import M
-from bifrost.reservoir import Reservoir
 from bifrost.waiting import Waitable
 
-Drop = Literal["newest", "oldest"]
-_SMALL = 4096  # copying fewer bytes than this is quicker than a view of them [B]
-_LARGEST = 2**63 - 1  # a count that a member has blown up is told as this
+_SMALL = 4096  # messages below this size are copied, which is faster than a view [B]
 
 
 class Received(msgspec.Struct, Generic[M], gc=False, eq=False):
@@ -29,11 +25,11 @@ class Received(msgspec.Struct, Generic[M], gc=False, eq=False):
 
     Attributes:
         message: decoded; its arrays are read-only.
-        stamp: when it was published, by the own monotonic clock [ns]; from another computer as well as its clock is
-            known (``bifrost.clocks``), and as that has it until it is.
+        stamp: time of publication by this computer's monotonic clock [ns]; another computer's is converted
+            (``bifrost.clocks``).
         sequence: the publisher's count, from 1.
         origin: name of the node that published it.
-        arrived: when it was taken from the network, before it was decoded, by the own monotonic clock [ns].
+        arrived: time of receipt, before decoding, by this computer's monotonic clock [ns].
     """
 
     message: M
@@ -43,7 +39,7 @@ class Received(msgspec.Struct, Generic[M], gc=False, eq=False):
     arrived: int = 0
 
 
-class Subscriber(Waitable, Generic[M]):
+class Subscriber(Intake, Waitable, Generic[M]):
     """Receives the messages of one topic. Made by ``Node.subscriber``."""
 
     def __init__(
@@ -52,54 +48,20 @@ class Subscriber(Waitable, Generic[M]):
         topic: str,
         message_type: type[M] | None,
         queue: int | None,
-        drop: Drop = "newest",
         *,
         limit: Limit | None = None,
     ) -> None:
-        self.topic = topic
-        self._discovery = discovery
         own: Codec[Any] | None = None if message_type is None else codec(message_type)
-        self._keep_all = queue is not None
+        super().__init__(discovery, topic, own, queue, limit)
         self._waiting: deque[Checked] = deque()  # checked but not delivered
-        self._undecodable = 0
         self._woken = False
         self._closed = False
-        self._full = False  # the last look took as many as it was to
-        intake = self._intake = Intake(discovery, topic, own, queue, limit)
-        self._reservoir: Reservoir[Checked] | None = None
-        if queue and drop == "oldest":
-            self._reservoir = Reservoir(intake.within, intake.close, queue, f"{topic} to {discovery.name}")
-        self._source: Intake | Reservoir[Checked] = self._reservoir or intake
+        self._full = False  # the last call reached its limit of messages
         types, hashes, schemas = ((), (), ()) if own is None else ((own.name,), (own.hash.hex(),), (own.schema,))
-        self._key = discovery.announce(Entry("subscriber", topic, types, hashes), schemas, self, self._counts)
-
-    # --- for the user ---------------------------------------------------------------------------------------------
-
-    @property
-    def drops(self) -> int:
-        """Messages known lost since start: by gaps in the sequence, or dropped as the oldest.
-
-        A latest-value subscriber loses none: what newer messages replace is not counted.
-        """
-        return self._intake.drops + (self._reservoir.evicted if self._reservoir else 0)
-
-    @property
-    def rejected(self) -> int:
-        """Messages refused since start: of another schema, not decodable, with a sequence or stamp that cannot be."""
-        return self._intake.rejected + self._undecodable
-
-    @property
-    def sequence(self) -> int:
-        """Of the newest message taken in, by the count of the publisher heard last; 0: none yet."""
-        return self._intake.sequence
-
-    @property
-    def bytes_received(self) -> int:
-        """Of all messages since start, envelopes included, encryption not [B]."""
-        return self._intake.bytes_received
+        self._key = discovery.announce(Entry("subscriber", topic, types, hashes), schemas, self)
 
     def latest(self) -> Received[M] | None:
-        """The newest message not yet returned, or None; older ones are passed over. Never blocks."""
+        """The latest message not yet returned, or None; discards older ones. Never blocks."""
         while True:
             for _ in range(LOOKS):
                 if not self._pump():
@@ -108,37 +70,37 @@ class Subscriber(Waitable, Generic[M]):
                 self._full = True
             if not self._waiting:
                 return None
-            newest = max(self._waiting)
+            latest = max(self._waiting)
             self._waiting.clear()
-            received = self._decode(newest)
+            received = self._decode(latest)
             if received is not None:
                 return received
 
     def receive(self, timeout: float | None = None) -> Received[M] | None:
-        """The next message; for a latest-value subscriber the newest.
+        """The next message; without a queue the latest.
 
         Args:
-            timeout: how long to wait [s]; None: for ever. Zero or less: not at all.
+            timeout: time to wait [s]; None: no limit. Zero or less: do not wait.
 
         Returns:
-            None after the time-out, or when woken.
+            None after the timeout, or after ``wake``.
         """
         if timeout is not None and timeout <= 0.0:
-            # What is conflated on its way, of one publisher, is the newest already.
-            return self._next() if self._keep_all or not (self._waiting or self._source.several) else self.latest()
+            # With one publisher, ZeroMQ has already discarded all but the latest.
+            return self._next() if self._keep_all or not (self._waiting or self.several) else self.latest()
         deadline = 0.0 if timeout is None else time.monotonic() + timeout
         milliseconds = -1 if timeout is None else int(timeout * 1000.0) + 1
         while True:
             if self._waiting:
                 received = self._next() if self._keep_all else self.latest()
             else:
-                # What waits is returned by the same call that would wait: one call into ZeroMQ a message.
-                checked = self._source.within(milliseconds)
+                # One call into ZeroMQ per message: it waits and returns.
+                checked = self._within(milliseconds)
                 received = None
                 if checked is not None:
-                    if self._keep_all or not self._source.several:
+                    if self._keep_all or not self.several:
                         received = self._decode(checked)
-                    else:  # each of several publishers has a newest message of its own
+                    else:  # each of several publishers has its own latest message
                         self._waiting.append(checked)
                         received = self.latest()
             if received is not None:
@@ -153,19 +115,16 @@ class Subscriber(Waitable, Generic[M]):
                 milliseconds = int(remaining * 1000.0) + 1
 
     def wake(self) -> None:
-        """Make ``receive`` return now, if it waits, and else perhaps the next one. From any thread."""
+        """Make a waiting ``receive`` return; otherwise possibly the next one. From any thread."""
         self._woken = True
-        if self._reservoir is not None:
-            self._reservoir.wake()
-        else:
-            self._discovery.wake(self.topic)
+        self._discovery.wake(self.topic)
 
     def drain(self, most: int | None = None, within: float | None = None) -> list[Received[M]]:
-        """All messages that wait, oldest first; of a latest-value subscriber at most one. Never blocks.
+        """All waiting messages, oldest first; without a queue at most one. Never blocks.
 
         Args:
-            most: at most so many; the rest goes on waiting, see ``left``. Those of several publishers come in turn.
-            within: begin with none after so long [s].
+            most: maximum number of messages; the others remain, see ``left``. Several publishers take turns.
+            within: time after which no further message is started [s].
         """
         if not self._keep_all:
             received = self.latest()
@@ -181,68 +140,37 @@ class Subscriber(Waitable, Generic[M]):
 
     @property
     def left(self) -> bool:
-        """Whether the last look may have left something waiting; a ``Poller`` tells of it again."""
-        return self._full or self._intake.left
-
-    @property
-    def muted(self) -> tuple[str, ...]:
-        """Names of the nodes that send more than the limit allows, and are not listened to now."""
-        return self._intake.muted
-
-    @property
-    def floods(self) -> int:
-        """How often a publisher was muted since start; what it published meanwhile is in ``drops``."""
-        return self._intake.floods
+        """True if messages may remain after the last call; a ``Poller`` reports them again."""
+        return self._full or self._more
 
     def fileno(self) -> int:
-        """A descriptor for an event loop.
-
-        It becomes readable when something *may* have come, and it tells so once: after it has, and after every call
-        here, call ``drain`` or ``latest`` until nothing is left before waiting for it again.
-        """
-        pollable = self.pollable
-        return pollable if isinstance(pollable, int) else int(pollable.getsockopt(zmq.FD))
+        """Descriptor for an event loop, edge-triggered: ``drain`` or ``latest`` until nothing is left, then wait."""
+        return int(self.socket.getsockopt(zmq.FD))
 
     @property
-    def pollable(self) -> zmq.Socket[bytes] | int:
-        """For ``bifrost.wait`` and ZeroMQ's pollers."""
-        return self._source.pollable
-
-    @property
-    def publishers(self) -> tuple[str, ...]:
-        """Names of the nodes that it is connected to, without those that are known to be gone."""
-        return self._intake.publishers
-
-    @property
-    def mismatches(self) -> list[SchemaError]:
-        """One error for every publisher of the topic whose type is another: such are not listened to."""
-        return self._intake.mismatches
+    def pollable(self) -> zmq.Socket[bytes]:
+        """Socket for ``bifrost.wait`` and ZeroMQ's pollers."""
+        return self.socket
 
     def ready(self) -> bool:
-        """Whether a message waits. Never blocks."""
+        """Return whether a message waits. Never blocks."""
         return bool(self._waiting) or self._pump()
 
-    def holding(self) -> bool:
-        """Whether a message waits outside the socket, where polling does not see it."""
-        return bool(self._waiting)
+    def patience(self) -> float | None:
+        """Zero if a message waits outside the socket, where polling does not detect it."""
+        return 0.0 if self._waiting else None
 
     def close(self) -> None:
         """Unsubscribe and close the socket."""
         if not self._closed:
             self._closed = True
             self._discovery.withdraw(self._key)
-            if self._reservoir is not None:
-                self._discovery.wake(self.topic)
-            self._source.close()
-
-    # --- receiving ------------------------------------------------------------------------------------------------
-
-    def _counts(self) -> tuple[int, int, int]:
-        return self._intake.messages, min(self.drops, _LARGEST), self.rejected
+            self._discovery.unwatch(self._watch)
+            self.socket.close()
 
     def _pump(self) -> bool:
-        """Take one message into ``_waiting``; False when there is none."""
-        checked = self._source.now()
+        """Move one message into ``_waiting``; False when there is none."""
+        checked = self._now()
         if checked is None:
             self._full = False
             return False
@@ -261,7 +189,7 @@ class Subscriber(Waitable, Generic[M]):
         try:
             content = frame[stream.payload :] if len(frame) < _SMALL else memoryview(frame)[stream.payload :]
             message = stream.decode(content)
-        except (ValueError, msgspec.DecodeError, RecursionError):  # ValueError: also of text and of arrays
-            self._undecodable += 1
+        except (ValueError, RecursionError):  # ValueError: also of text and arrays
+            self.rejected += 1
             return None
         return Received(message, stamp, sequence, stream.name, arrived)

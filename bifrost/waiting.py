@@ -1,4 +1,4 @@
-"""One loop over many subscribers, servers and clients: waiting for them, or looking at all of them at once."""
+"""Waiting for, and polling of, many subscribers, servers and clients in one loop."""
 
 from __future__ import annotations
 
@@ -11,109 +11,98 @@ import zmq
 
 
 class Waitable(Protocol):
-    """What ``wait`` waits for: a subscriber, a server, or a client that has asked."""
+    """A subscriber, a server, or a client with an open request, for ``wait``."""
 
     @property
     def pollable(self) -> zmq.Socket[bytes] | int | None:
-        """The socket or descriptor to poll; None: there is none now."""
+        """The socket or descriptor to poll; None: none at present."""
         ...
 
     def ready(self) -> bool:
-        """Whether something waits."""
+        """Return whether a message waits."""
         ...
 
-    def holding(self) -> bool:
-        """Whether something waits outside the socket, where polling does not see it."""
-        return False
-
     def patience(self) -> float | None:
-        """How long one may wait before looking again even if nothing comes [s]; None: for ever."""
+        """Maximum time until the next check of ``ready``, also without messages [s]; None: no limit."""
         return None
 
 
-class Lookable(Protocol):
-    """What a ``Poller`` looks at: a subscriber or a server."""
+class Pollable(Protocol):
+    """A subscriber or server, for ``Poller``."""
 
     def fileno(self) -> int:
-        """Readable when something may have come that has not been looked at."""
+        """Descriptor that is readable when a message may have arrived."""
         ...
 
     @property
     def left(self) -> bool:
-        """Whether the last look may have left something."""
+        """True if messages may remain after the last call."""
         ...
 
 
 W = TypeVar("W", bound=Waitable)
-L = TypeVar("L", bound=Lookable)
+L = TypeVar("L", bound=Pollable)
 
 
 def wait(items: Sequence[W], timeout: float | None = None) -> list[W]:
-    """Wait until one of several subscribers, servers and clients has something.
+    """Wait until one of several subscribers, servers and clients has a message.
 
     Args:
         items: subscribers, servers and clients, of one or of several nodes.
-        timeout: how long [s]; None: for ever; zero or less: not at all.
+        timeout: [s]; None: no limit; zero or less: do not wait.
 
     Returns:
-        Those that have something, in the order given; empty after the time-out.
+        The items with messages, in the given order; empty after the timeout.
 
     Raises:
-        ValueError: nothing could ever end the wait.
+        ValueError: no item can be polled, and there is no timeout.
     """
     deadline = None if timeout is None else time.monotonic() + timeout
     while True:
-        # Nearly all are never impatient and always poll the same; a client's socket comes and goes.
+        # Nearly all items have no time limit and a constant socket; a client's socket changes.
         pollables = [item.pollable for item in items]
+        patience = [item.patience() for item in items]
         remaining = None if deadline is None else max(0.0, deadline - time.monotonic())
-        shortest, patient = remaining, True
-        for item in items:
-            patience = item.patience()
-            if patience is not None:
-                patient = False
-                shortest = patience if shortest is None else min(shortest, patience)
-            if item.holding():
-                patient, shortest = False, 0.0
+        shortest = min((limit for limit in (*patience, remaining) if limit is not None), default=None)
         milliseconds = -1 if shortest is None else 0 if shortest <= 0.0 else int(shortest * 1000.0) + 1
         polled = [(pollable, zmq.POLLIN) for pollable in pollables if pollable is not None]
         if not polled and milliseconds:
             if milliseconds < 0:
-                raise ValueError("wait: nothing to wait for, and no time limit")
+                raise ValueError("wait: nothing to wait for, and no timeout")
             time.sleep(milliseconds / 1000.0)
         woken = dict(zmq.zmq_poll(polled, milliseconds))
-        # A socket may have woken for news of publishers, or for a message that is refused: nothing for the caller.
+        # A socket may have woken for a change of publishers, or for a message that is rejected.
         ready = [
             item
-            for item, pollable in zip(items, pollables, strict=True)
-            if (pollable in woken or not patient) and _has_something(item, pollable in woken)
+            for item, pollable, limit in zip(items, pollables, patience, strict=True)
+            if (pollable in woken or limit is not None) and item.ready()
         ]
         if ready or (remaining is not None and remaining <= 0.0):
             return ready
 
 
 class Poller(Generic[L]):
-    """Tells which of many may have something, by one system call however many there are.
+    """Reports which of many items may have messages, by one system call for any number of items.
 
-    For a control loop: to find that nothing has come costs as much for ten subscribers as for one, and a tenth of
-    what asking each of them does; to wait for all of them costs no more. What is told must be looked at (``drain``,
-    ``latest``, ``serve``), for it is told once; what that has left, by a bound of its own, is told again.
+    For control loops: a tenth of the cost of polling each. Each event is reported once, so the items returned must be
+    processed (``drain``, ``latest``, ``serve``). Items with remaining messages (``left``) are reported again.
     """
 
     def __init__(self, items: Sequence[L]) -> None:
-        """Look at these, each of which must stay open as long as it is looked at."""
+        """Poll items, which must remain open meanwhile."""
         self._items = {item.fileno(): item for item in items}
         self._epoll = select.epoll()
         for descriptor in self._items:
             self._epoll.register(descriptor, select.EPOLLIN)
         self._poll = self._epoll.poll
         self._most = max(1, len(items))
-        self._all: list[L] | None = list(items)  # they may have something that their descriptors have told before
+        self._all: list[L] | None = list(items)  # their events may have been consumed before
 
     def look(self, timeout: float = 0.0) -> list[L]:
-        """Those that may have something; the first time, all.
+        """Items that may have messages; all, on the first call.
 
         Args:
-            timeout: how long to wait for the first of them [s]; zero: not at all.
+            timeout: time to wait for the first of them [s]; zero: do not wait.
         """
         if self._all is not None:
             everything, self._all = self._all, None
@@ -125,9 +114,5 @@ class Poller(Generic[L]):
         return list(dict.fromkeys((*left, *(self._items[descriptor] for descriptor, _ in events))))
 
     def close(self) -> None:
-        """Look no more; closes nothing else."""
+        """Stop polling; the items remain open."""
         self._epoll.close()
-
-
-def _has_something(item: Waitable, woken: bool) -> bool:
-    return item.holding() or ((woken or item.patience() is not None) and item.ready())

@@ -1,4 +1,4 @@
-"""A Bifrost network of a test's own: its daemon and peers are real processes, its nodes live in the test."""
+"""A Bifrost network for one test: daemon and peers are processes, nodes live in the test."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class Peer:
         self.process.send_signal(number)
 
     def alive(self) -> bool:
-        """Whether it runs."""
+        """Return whether it runs."""
         return self.process.poll() is None
 
     def kill(self) -> None:
@@ -160,11 +160,11 @@ class BifrostNetwork:
     ) -> None:
         """Of several computers, or of this one, on a port of some; topics and services may be granted to owners."""
         self.file, self.keys, self.owners = folder / "network.json", folder / "keys", folder / "owners"
-        charter = bifrost.Charter(self.owners, publishers or {}, servers or {}) if publishers or servers else None
+        policy = bifrost.AccessPolicy(self.owners, publishers or {}, servers or {}) if publishers or servers else None
         if computers:
-            self.network = bifrost.Network.create_for(computers, self.file, self.keys, charter)
+            self.network = bifrost.Network.create_for(computers, self.file, self.keys, policy)
         else:
-            self.network = bifrost.Network.create(self.file, self.keys, ports=ports, charter=charter)
+            self.network = bifrost.Network.create(self.file, self.keys, ports=ports, policy=policy)
         self.log = folder / "bifrostd.log"
         self.daemons: dict[str, subprocess.Popen[bytes]] = {}
         self.within: dict[str, Sequence[str]] = {}  # by computer: the command that runs another one there

@@ -1,4 +1,4 @@
-"""A robot of ours under control in one process (``valor.rehearsal``), with values of its tables replaced."""
+"""A robot of ours under control in one process (``valor.self_test``), with values of its tables replaced."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from harness.places import ROBOTS
 from valor.common.table import checked, plain
-from valor.rehearsal.closed_loop import ClosedLoop
 from valor.robot.description import RobotDescription
 from valor.robot.tables import RobotTables
+from valor.self_test.closed_loop import ClosedLoop
 
 __all__ = ["ClosedLoop", "load_robot"]
 

@@ -1,4 +1,4 @@
-"""Computers that network namespaces stand for, each with a cable to one switch; and clocks that differ."""
+"""Computers as network namespaces, each with a cable to one of two switches; their clocks can differ."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ NO_COMPUTERS = "no network namespaces with cables between them here"
 
 
 class ComputersError(Exception):
-    """The system makes no network namespaces, or not for us."""
+    """Network namespaces cannot be made here."""
 
 
 class Computers:
-    """Some computers on one switch: 10.76.<network>.1, .2, …, in the order of their names; others on one of their own.
+    """Computers on one switch: 10.76.<network>.1, .2, …, in the order of their names; others on 10.77.<network>.
 
     Attributes:
         addresses: by name.
-        between: of a computer that both switches have, on the first and on the other one; it passes nothing on.
+        between: addresses of a computer on both switches, which forwards nothing.
     """
 
     def __init__(self, names: tuple[str, ...], network: int, apart: Collection[str] = ()) -> None:
         self._apart = frozenset(apart)
         nets = {False: f"10.76.{network}", True: f"10.77.{network}"}
-        self.addresses = {name: f"{nets[name in apart]}.{place}" for place, name in enumerate(names, 1)}
+        self.addresses = {name: f"{nets[name in apart]}.{index}" for index, name in enumerate(names, 1)}
         self.between = (f"{nets[False]}.254", f"{nets[True]}.254")
         self._prefix = f"valor_{os.getpid()}_{network}"
         self._switch = f"{self._prefix}_switch"
-        self._port = {name: f"v{os.getpid()}{network}s{place}" for place, name in enumerate(names)}
+        self._port = {name: f"v{os.getpid()}{network}s{index}" for index, name in enumerate(names)}
 
     def inside(self, name: str, *, ahead: float = 0.0) -> tuple[str, ...]:
-        """What a command is begun with to run on a computer, whose clock since boot may be ahead [s]."""
+        """Prefix of a command that runs on a computer, whose clock since boot can be ahead [s]."""
         clock = ("unshare", "--time", f"--monotonic={ahead:g}", f"--boottime={ahead:g}") if ahead else ()
         return ("ip", "netns", "exec", self._name(name), *clock)
 
     def inside_between(self) -> tuple[str, ...]:
-        """What a command is begun with to run between the switches."""
+        """Prefix of a command that runs between the switches."""
         return ("ip", "netns", "exec", self._switch)
 
     def pull(self, name: str) -> None:
-        """Pull a computer's cable: its own side sees no carrier, and keeps its address."""
+        """Pull a computer's cable: its interface loses the carrier and keeps its address."""
         self._cable(name, "down")
 
     def plug(self, name: str) -> None:
-        """Put it back."""
+        """Plug it in again."""
         self._cable(name, "up")
 
     def _cable(self, name: str, state: str) -> None:
@@ -56,10 +56,10 @@ class Computers:
         return f"{self._prefix}_{computer}"
 
     def make(self, stack: ExitStack) -> None:
-        """Make them; ``stack`` takes them away.
+        """Make them; ``stack`` removes them.
 
         Raises:
-            ComputersError: that cannot be done here.
+            ComputersError: network namespaces cannot be made here.
         """
         for space in (self._switch, *map(self._name, self.addresses)):
             _run("ip", "netns", "add", space)
@@ -73,27 +73,18 @@ class Computers:
             port, own = self._port[name], f"{self._port[name]}x"
             _run("ip", "link", "add", port, "netns", self._switch, "type", "veth", "peer", "name", own)
             _run("ip", "link", "set", own, "netns", self._name(name))
-            _run(
-                "ip",
-                "-n",
-                self._switch,
-                "link",
-                "set",
-                port,
-                "master",
-                "apart" if name in self._apart else "switch",
-                "up",
-            )
+            switch = "apart" if name in self._apart else "switch"
+            _run("ip", "-n", self._switch, "link", "set", port, "master", switch, "up")
             _run("ip", "-n", self._name(name), "address", "add", f"{address}/24", "dev", own)
             _run("ip", "-n", self._name(name), "link", "set", own, "up")
 
 
 @contextmanager
 def computers(*names: str, network: int = 0, apart: Collection[str] = ()) -> Iterator[Computers]:
-    """Make computers, and take them away; ``apart``: those that nothing joins with the others.
+    """Make computers, and remove them; ``apart``: names of those on the second switch.
 
     Raises:
-        ComputersError: that cannot be done here.
+        ComputersError: network namespaces cannot be made here.
     """
     with ExitStack() as stack:
         made = Computers(names, network, apart)
@@ -102,7 +93,7 @@ def computers(*names: str, network: int = 0, apart: Collection[str] = ()) -> Ite
 
 
 def environment(home: Path, instance: str, more: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Of a command on a computer of its own, whose home it is."""
+    """Environment of a command on a computer with this home."""
     own = {k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "FAST", "VALOR", "BIFROST"))}
     return own | {"VALOR_HOME": str(home), "VALOR_INSTANCE": instance} | dict(more or {})
 

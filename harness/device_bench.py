@@ -12,13 +12,19 @@ import numpy as np
 
 from harness.waiting import PATIENCE, wait_until
 from valor.common.instance import Instance, Settings
-from valor.comms_manager.hardware import kinds as drivers
-from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault
-from valor.device_emulators import kinds as emulators
-from valor.device_emulators.emulator import EmulatedFault, Emulator
+from valor.comms_manager.hardware.device import (
+    Device,
+    DeviceContext,
+    DeviceError,
+    Fault,
+    UnitFault,
+    UnitRecord,
+    make_device,
+)
+from valor.device_emulators.emulator import EmulatedFault, Emulator, make_emulator
 from valor.device_emulators.robot import SimulatedRobot
 from valor.robot.description import RobotDescription
-from valor.valorctl.ros_domain import reserve_for
+from valor.valorctl.instance.ros_domain import reserve_for
 
 UNSOUND = (EmulatedFault.SILENT, EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKSUM, EmulatedFault.LATE)
 """Faults in which nothing of a unit may be believed."""
@@ -27,7 +33,9 @@ UNSOUND = (EmulatedFault.SILENT, EmulatedFault.GARBAGE, EmulatedFault.BAD_CHECKS
 class Bench:
     """The emulator's side runs as long as the bench; the driver's side is the test's to start."""
 
-    def __init__(self, robot: RobotDescription, device: str, home: Path) -> None:
+    def __init__(self, robot: RobotDescription, device: str, home: Path, *, moves: bool = False) -> None:
+        """``moves``: the robot leaves its gantry once the driver's motors are on; before, limp joints would sag."""
+        self._moves = moves
         self.instance = Instance("bench", home)
         self.instance.ports.mkdir(parents=True)
         self._domain = reserve_for(self.instance)  # for CAN buses of the bench's own
@@ -37,7 +45,7 @@ class Bench:
         self.description = robot
         self.device = device
         self.robot = SimulatedRobot(robot, self.settings)
-        self.emulator: Emulator = emulators.make(device, self.instance, self.settings, robot)
+        self.emulator: Emulator = make_emulator(device, self.instance, self.settings, robot)
         self.lock = threading.Lock()  # around the robot and the emulator
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve)
@@ -66,7 +74,7 @@ class Bench:
                 self.emulator.step(time.monotonic(), self.robot)
 
     def let_go(self) -> None:
-        """Let the world move; the robot stands on its legs' servos, so that nothing else falls on the device."""
+        """Start the simulated world; the robot stands on the servos of its legs, so that only the device moves."""
         groups = self.description.tables.groups
         names = [joint for group in ("left_leg", "right_leg", "torso") for joint in groups[group]]
         legs = np.array([self.description.index[name] for name in names], dtype=np.intp)
@@ -87,7 +95,7 @@ class Bench:
 
     def driver(self, robot: RobotDescription | None = None) -> Device:
         """A driver that has found nothing yet; it may expect another robot."""
-        return drivers.make(self.device, DeviceContext(self.instance, self.settings, robot or self.description))
+        return make_device(self.device, DeviceContext(self.instance, self.settings, robot or self.description))
 
     def _started(self) -> Device:
         """A driver whose motors are on. A start is refused where the computer gives the emulator no turn for long."""
@@ -102,6 +110,8 @@ class Bench:
                 if time.monotonic() > until:
                     raise
             else:
+                if self._moves and not self.robot.released:
+                    self.let_go()
                 return driver
 
     @contextmanager
@@ -127,19 +137,34 @@ class Bench:
         self._domain.close()
 
 
-def ailing(driver: Device, unit: str, fault: Fault) -> Ailment:
+def reported_fault(driver: Device, unit: str, fault: Fault) -> UnitFault:
     """The fault that a unit is told to have, within some seconds."""
 
-    def told() -> Ailment | None:
-        return next((each for each in driver.ailments if (each.unit, each.fault) == (unit, fault)), None)
+    def told() -> UnitFault | None:
+        return next((each for each in driver.unit_faults if (each.unit, each.fault) == (unit, fault)), None)
 
-    ailment = wait_until(told, 10, f"{driver.name}/{unit} {fault}")
-    assert ailment is not None
-    return ailment
+    unit_fault = wait_until(told, 10, f"{driver.name}/{unit} {fault}")
+    assert unit_fault is not None
+    return unit_fault
 
 
 def sound(driver: Device, row: int = 0, states: int = 5) -> None:
     """Nothing ails the device any more, and states come."""
-    wait_until(lambda: not driver.ailments, 10, f"{driver.name} well again")
+    wait_until(lambda: not driver.unit_faults, 10, f"{driver.name} well again")
     before = driver.records[row].states
     wait_until(lambda: driver.records[row].states >= before + states, 10, f"states of {driver.name}")
+
+
+class StillDevice(Device):
+    """A device of robot.yaml whose units report what a test sets."""
+
+    def __init__(self, name: str, robot: RobotDescription) -> None:
+        settings = Settings(robot=robot.folder, ros_domain_id=1)
+        super().__init__(name, DeviceContext(Instance("x", Path()), settings, robot))
+        self.records = tuple(UnitRecord(unit) for unit in robot.tables.devices[name].units or [name])
+
+    def find(self) -> None:
+        raise NotImplementedError
+
+    def run(self, stopping: threading.Event) -> None:
+        raise NotImplementedError

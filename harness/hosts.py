@@ -1,4 +1,4 @@
-"""An instance on several computers, each a network namespace with a home and an agent of its own."""
+"""An instance on several computers, each a network namespace with a home and an ssh server of its own."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import subprocess
+import sys
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,13 +15,56 @@ from typing import Any
 import psutil
 
 from harness.computers import Computers, ComputersError, computers, environment
+from harness.places import REPOSITORY
 from harness.system import VALORCTL
 from harness.waiting import wait_until
 from valor.common.instance import Instance
-from valor.valorctl import leftovers
-from valor.valorctl.hosts.deployment import Deployment, deployment_file
+from valor.common.resources import file_of
+from valor.valorctl.hosts.deployment import Deployment
+from valor.valorctl.instance import shutdown
 
-PATIENCE = 240.0  # [s]
+TIMEOUT = 240.0  # of a verb [s]
+SSH_PORT = 2222
+
+
+def make_ssh_keys(folder: Path) -> Path:
+    """Make the keys of a server and of a user, and an ``ssh_config`` by which each is accepted; returns that file."""
+    folder.mkdir()
+    for name in ("host_key", "user_key"):
+        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", folder / name], check=True)
+    (folder / "authorized_keys").write_text((folder / "user_key.pub").read_text())
+    (folder / "known_hosts").write_text(f"* {(folder / 'host_key.pub').read_text()}")
+    options = {
+        "IdentityFile": folder / "user_key",
+        "IdentitiesOnly": "yes",
+        "IdentityAgent": "none",
+        "UserKnownHostsFile": folder / "known_hosts",
+        "GlobalKnownHostsFile": "/dev/null",
+        "StrictHostKeyChecking": "yes",
+        "HostKeyAlias": "host",
+        "Port": SSH_PORT,
+    }
+    config = folder / "ssh_config"
+    config.write_text("".join(f"{name} {value}\n" for name, value in options.items()))
+    return config
+
+
+def start_ssh_server(
+    command: Sequence[str], address: str, keys: Path, environment: dict[str, str], log: Path
+) -> subprocess.Popen[bytes]:
+    """Start a computer's ssh server, and wait until it listens; ``command``: what runs a program on that computer."""
+    with open(log, "wb") as out:
+        server = subprocess.Popen(
+            [*command, sys.executable, "-m", "harness.ssh_server", address, str(SSH_PORT), str(keys)],
+            env=environment | {"PYTHONPATH": str(REPOSITORY)},
+            cwd=log.parent,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,  # Ctrl-C in a benchmark must not end it before `down`
+        )
+    wait_until(lambda: "listens" in log.read_text(), 30.0, f"ssh server listens: {log.read_text()}")
+    return server
 
 
 class Hosts:
@@ -29,28 +73,33 @@ class Hosts:
     def __init__(self, network: Computers, folder: Path, deployment: str, instance: str) -> None:
         self.network, self.folder, self.instance = network, folder, instance
         self.file = folder / "trio.yaml"
+        self._keys = folder / "ssh"
+        config = make_ssh_keys(self._keys)
+        key = folder / "trio.key"
+        key.write_bytes(os.urandom(32))
+        key.chmod(0o600)
         for name, address in {**network.addresses, "between": network.between[1]}.items():
             deployment = deployment.replace(f"@{name}", address)
-        self.file.write_text(deployment)
+        self.file.write_text(f"{deployment}ssh: {{config: {config}}}\n")
         self.ahead = dict.fromkeys(network.addresses, 0.0)  # of each one's clock since boot [s]
-        self._agents: dict[str, subprocess.Popen[bytes]] = {}
+        self._servers: dict[str, subprocess.Popen[bytes]] = {}
         for name in network.addresses:
             self.home(name).mkdir()
 
     def home(self, name: str) -> Path:
-        """Where a computer keeps its instances."""
+        """Folder of a computer's instances."""
         return self.folder / name
 
     def command(self, name: str, *arguments: str) -> list[str]:
-        """A command as it is run on a computer."""
+        """A command that runs on a computer."""
         return [*self.network.inside(name, ahead=self.ahead[name]), *arguments]
 
     def environment(self, name: str) -> dict[str, str]:
-        """Of a command on a computer."""
-        return environment(self.home(name), self.instance)
+        """Environment of a command on a computer."""
+        return environment(self.home(name), self.instance) | {"PATH": f"{VALORCTL.parent}:{os.environ['PATH']}"}
 
-    def valorctl(self, name: str, *arguments: str, expect: int = 0, timeout: float = PATIENCE) -> str:
-        """Run a verb on a computer; what it said, complaints included."""
+    def valorctl(self, name: str, *arguments: str, expect: int = 0, timeout: float = TIMEOUT) -> str:
+        """Run a verb on a computer; returns its output, stderr included."""
         done = subprocess.run(
             self.command(name, str(VALORCTL), *arguments),
             env=self.environment(name),
@@ -61,9 +110,9 @@ class Hosts:
             stdin=subprocess.DEVNULL,
             check=False,
         )
-        said = done.stdout + done.stderr
-        assert done.returncode == expect, f"{name}: {' '.join(arguments)}: exit {done.returncode}\n{said}"
-        return said
+        output = done.stdout + done.stderr
+        assert done.returncode == expect, f"{name}: {' '.join(arguments)}: exit {done.returncode}\n{output}"
+        return output
 
     def status(self, name: str) -> dict[str, Any]:
         """``valorctl status --json`` on a computer."""
@@ -71,51 +120,41 @@ class Hosts:
         return found
 
     def states(self, name: str) -> dict[str, str]:
-        """How the processes fare, as a computer sees it."""
+        """States of the processes, as a computer reports them."""
         return {row["name"]: row["state"] for row in self.status(name)["services"]}
 
     def left(self, name: str) -> list[psutil.Process]:
-        """What runs of the instance on a computer."""
-        return leftovers.processes_of(Instance(self.instance, self.home(name)))
+        """Processes of the instance on a computer."""
+        return shutdown.processes_of(Instance(self.instance, self.home(name)))
 
-    def join(self, name: str, first: str) -> None:
-        """Bring a computer its ticket from the first, and start its agent."""
-        self.valorctl(first, "host", "join", name, "--deployment", str(self.file))
-        self.start_agent(name, f"trio.{name}.ticket")
-
-    def start_agent(self, name: str, ticket: str = "trio", instead: Sequence[tuple[Path, Path]] = ()) -> None:
-        """Start a computer's agent, and wait until it listens; ``instead``: files that it sees at others' places."""
+    def start_ssh(self, name: str, instead: Sequence[tuple[Path, Path]] = ()) -> None:
+        """Start a computer's ssh server; ``instead``: files that its commands see in the place of others."""
         mounts = "".join(f"mount --bind {file} {place} && " for file, place in instead)
         own = ("unshare", "--mount", "sh", "-c", f'{mounts}exec "$@"', "sh") if instead else ()
-        said = self.folder / f"{name}.agent"
-        with open(said, "wb") as out:
-            self._agents[name] = subprocess.Popen(
-                self.command(name, *own, str(VALORCTL), "host", "agent", ticket),
-                env=self.environment(name),
-                cwd=self.folder,
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,  # whoever interrupts a benchmark needs it to take all down
-            )
-        wait_until(lambda: "listens" in said.read_text(), 30.0, f"the agent of {name} listens: {said.read_text()}")
+        self._servers[name] = start_ssh_server(
+            self.command(name, *own),
+            self.network.addresses[name],
+            self._keys,
+            self.environment(name),
+            self.folder / f"{name}.ssh",
+        )
 
-    def stop_agent(self, name: str) -> None:
-        """End a computer's agent."""
-        agent = self._agents.pop(name)
-        agent.terminate()
-        agent.wait(30.0)
+    def kill_ssh(self, name: str) -> None:
+        """Kill a computer's ssh server, with its connections."""
+        server = self._servers.pop(name)
+        server.kill()
+        server.wait()
 
     @contextmanager
     def little_disk(self, name: str, size: str) -> Iterator[Path]:
-        """While it lasts a computer's agent has the instance's folder, empty, on a disk of its own of a size.
+        """Give a computer's ssh server an empty folder of the instance on a separate disk of a size.
 
         Raises:
-            ComputersError: no disk is to be had here.
+            ComputersError: such a disk cannot be made here.
         """
         folder = self.home(name) / self.instance
         folder.mkdir(exist_ok=True)
-        inside = ("nsenter", "--target", str(self._agents[name].pid), "--mount")
+        inside = ("nsenter", "--target", str(self._servers[name].pid), "--mount")
         made = subprocess.run(
             [*inside, "mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", str(folder)],
             capture_output=True,
@@ -125,19 +164,25 @@ class Hosts:
         if made.returncode:
             raise ComputersError(f"no small disks here: {made.stderr.strip()}")
         try:
-            yield Path(f"/proc/{self._agents[name].pid}/root") / folder.relative_to("/")
+            yield Path(f"/proc/{self._servers[name].pid}/root") / folder.relative_to("/")
         finally:
             subprocess.run([*inside, "umount", "--lazy", str(folder)], check=False)
 
-    def kill_agent(self, name: str) -> None:
-        """End a computer's agent, which has no time to say anything."""
-        self._agents[name].kill()
-        self._agents.pop(name).wait()
-
     def cut_power(self, name: str) -> None:
-        """End a computer's agent and all that runs there at once, as when its power is cut; its files stay."""
-        self.kill_agent(name)
+        """Kill a computer's ssh server and all that runs there at once, as a loss of power does; its files stay."""
+        self.kill_ssh(name)
         self._kill_rest(name)
+
+    def restore_power(self, name: str) -> str:
+        """Start a computer's ssh, then what its unit calls; returns the output of that."""
+        self.start_ssh(name)
+        return self.valorctl(name, "host", "resume")
+
+    def kill_supervisor(self, name: str) -> None:
+        """Kill a computer's supervisord only; its processes continue."""
+        for process in self.left(name):
+            if "supervisor.supervisord" in process.cmdline():
+                process.kill()
 
     def _kill_rest(self, name: str) -> None:
         for process in self.left(name):
@@ -145,25 +190,25 @@ class Hosts:
                 process.kill()
 
     def close(self) -> None:
-        """Everything down, and no agent left."""
+        """Everything down, and no ssh server left."""
         for name in self.network.addresses:
             self.network.plug(name)
         try:
-            here = next(reversed(self._agents), None)
-            if here is not None:
-                self.valorctl(here, "down", "--deployment", str(self.file))
-            if Deployment.load(self.file).link is not None:  # whose two sides are not one to `down`
-                self.valorctl(next(iter(self._agents)), "down", "--deployment", str(self.file))
+            names = list(self._servers)
+            if names:
+                self.valorctl(names[-1], "down", "--deployment", str(self.file))
+            if Deployment.load(self.file).link is not None:  # whose two sides are two for `down`
+                self.valorctl(names[0], "down", "--deployment", str(self.file))
         finally:
-            for name in list(self._agents):
-                self.stop_agent(name)
+            for name in list(self._servers):
+                self.kill_ssh(name)
             for name in self.network.addresses:
                 self._kill_rest(name)
 
 
 def deployment_text(name: str) -> str:
-    """One of the project's deployments, as ``hosts`` takes it: of each host ``@name`` in the place of its address."""
-    file = deployment_file(name)
+    """One of the project's deployments, with ``@name`` in the place of each host's address."""
+    file = file_of("deployment", name)
     text = file.read_text()
     for host, row in Deployment.load(file).hosts.items():
         text = text.replace(row.address, f"@{host}")
@@ -174,18 +219,18 @@ def deployment_text(name: str) -> str:
 def hosts(
     folder: Path, deployment: str, instance: str, *names: str, apart: Collection[str] = (), **ahead: float
 ) -> Iterator[Hosts]:
-    """Computers that have joined a deployment, in whose text ``@name`` stands for an address.
+    """Computers of a deployment, in whose text ``@name`` stands for an address.
 
     Args:
-        folder: short, for sockets are made in it.
+        folder: short, since sockets are made in it.
         deployment: the file's text.
         instance: name of the instance.
-        names: of the computers; the last is where keys are made.
-        apart: those that nothing joins with the others but what is between them, whose address is ``@between``.
-        ahead: by how much a computer's clock since boot is ahead [s].
+        names: of the computers.
+        apart: names of those on the second switch; ``@between`` is the address of what joins the switches.
+        ahead: offset of a computer's clock since boot [s].
 
     Raises:
-        ComputersError: there are no such computers to be had here.
+        ComputersError: network or time namespaces cannot be made here.
     """
     if ahead and subprocess.run(["unshare", "--time", "true"], capture_output=True, check=False).returncode:
         raise ComputersError("no time namespaces here")
@@ -194,7 +239,7 @@ def hosts(
         made.ahead |= ahead
         try:
             for name in names:
-                made.join(name, names[-1])
+                made.start_ssh(name)
             yield made
         finally:
             made.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,10 +16,10 @@ from pathlib import Path
 import bifrost
 from harness.places import ROBOTS
 from valor.common.instance import Instance, Settings
-from valor.common.processes import BY_NAME
+from valor.common.processes import BY_NAME, DAEMON
 from valor.common.table import checked, plain
 from valor.common.topics import STATISTICS
-from valor.valorctl.ros_domain import daemon_ports, reserve_for
+from valor.valorctl.instance.ros_domain import daemon_ports, reserve_for
 
 THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
@@ -114,6 +115,21 @@ class RunningInstance:
                 assert process.poll() is None, f"{name} ended with {process.returncode}; log:\n{self.log(name)}"
         raise AssertionError(f"{name} not ready within {timeout:g} s; log:\n{self.log(name)}")
 
+    def reset(self, settings: Settings) -> None:
+        """End all processes but bifrostd and all nodes; restore the settings; remove logs and bags."""
+        daemon = self._running.pop(DAEMON, None)
+        self.close()
+        self._nodes.clear()
+        self._running.clear()
+        for folder in (self.instance.bags, self.instance.logs):
+            shutil.rmtree(folder)
+            folder.mkdir()
+        self.instance.settings_file.write_text(settings.json())
+        if daemon is None or daemon.poll() is not None:
+            self.start(DAEMON)
+        else:
+            self._running[DAEMON] = daemon
+
     def close(self) -> None:
         """End everything."""
         for node in self._nodes:
@@ -148,7 +164,7 @@ def fresh_instance(home: Path, name: str = "test", **settings: object) -> Iterat
             made, bifrost.Network.create(made.network_file, made.keys, ports=daemon_ports(domain))
         )
         try:
-            running.start("bifrostd")
+            running.start(DAEMON)
             yield running
         finally:
             running.close()

@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 
 import zmq
 
-from valor.link.classes import Kind
-from valor.link.emulator import Bandwidth, Conditions, Line
-from valor.link.end import Arrived, Channel, End, Event, GivenUp
-from valor.link.ends import OperatorEnd, RobotEnd
+from harness.emulated_channel import Bandwidth, Conditions, EmulatedChannel, Windows
+from valor.common.instance import LINK_RATE
+from valor.link.classes import MessageClass
+from valor.link.endpoint import Arrived, Channel, Event, LinkEndpoint, MessagesExpired
+from valor.link.endpoints import OperatorEndpoint, RobotEndpoint
 from valor.link.fields import Layout
-from valor.link.schedule import Windows
+from valor.link.picture import Picture
 from valor.link.session import Session, shared_secret
 from valor.link.state import RobotState
 
@@ -36,6 +37,7 @@ class Pair:
         executed: what the robot's end was given to obey: when, kind, content.
         refused: what it was not to obey, and why.
         answers: what the operator's end heard.
+        execute: obeys instead, and answers.
         given_up: ids of commands that were not acknowledged in time.
     """
 
@@ -45,10 +47,13 @@ class Pair:
     fast: Conditions | None = None
     seed: int = 0
     windows: Windows = ()
+    picture: Picture | None = None
     cuts: Windows = ()
+    rate: float = LINK_RATE
+    execute: Callable[[Arrived], None] | None = None
     now: float = 0.0
-    executed: list[tuple[float, Kind, bytes]] = field(default_factory=list)
-    refused: list[tuple[float, Kind, bytes, str]] = field(default_factory=list)
+    executed: list[tuple[float, MessageClass, bytes]] = field(default_factory=list)
+    refused: list[tuple[float, MessageClass, bytes, str]] = field(default_factory=list)
     answers: list[bytes] = field(default_factory=list)
     given_up: set[int] = field(default_factory=set)
 
@@ -56,11 +61,11 @@ class Pair:
         self._secrets = secrets_of_both()
         there = _complement(self.cuts)
         shared = Bandwidth(self.slow)
-        self.lines: dict[tuple[bool, Channel], Line] = {}
+        self.lines: dict[tuple[bool, Channel], EmulatedChannel] = {}
         for robot in (True, False):
-            self.lines[robot, Channel.SLOW] = Line(self.slow, 2 * self.seed + robot, there, shared)
+            self.lines[robot, Channel.SLOW] = EmulatedChannel(self.slow, 2 * self.seed + robot, there, shared)
             if self.fast is not None:
-                self.lines[robot, Channel.FAST] = Line(self.fast, 2 * self.seed + robot + 7919, self.windows)
+                self.lines[robot, Channel.FAST] = EmulatedChannel(self.fast, 2 * self.seed + robot + 7919, self.windows)
         self._flying: list[tuple[float, int, bool, Channel, bytes]] = []
         self._order = itertools.count()
         self.begin_robot()
@@ -69,12 +74,13 @@ class Pair:
     def begin_robot(self) -> None:
         """The robot's end starts, or starts anew."""
         session = Session(self._secrets[0], True, b"same-rob")
-        self.robot = RobotEnd(session, self.layout, self.observe, self.robot_time, self.fast is not None)
+        self.robot = RobotEndpoint(session, self.layout, self.observe, self.robot_time, fast=self.fast is not None,
+                              picture=lambda: self.picture, rate=self.rate)  # fmt: skip
 
     def begin_operator(self) -> None:
         """The operator's end starts, or starts anew."""
         session = Session(self._secrets[1], False, b"same-rob")
-        self.operator = OperatorEnd(session, self.layout, self.now, self.fast is not None)
+        self.operator = OperatorEndpoint(session, self.layout, self.now, self.fast is not None, rate=self.rate)
 
     @property
     def robot_time(self) -> float:
@@ -95,10 +101,10 @@ class Pair:
         for event in self.operator.events():
             if isinstance(event, Arrived):
                 self.answers.append(event.content)
-            elif isinstance(event, GivenUp):
+            elif isinstance(event, MessagesExpired):
                 self.given_up |= event.ids
 
-    def _turn(self, end: End, time: float, robot: bool) -> None:
+    def _turn(self, end: LinkEndpoint, time: float, robot: bool) -> None:
         for channel, data in end.turn(time):
             line = self.lines.get((robot, channel))
             for arrival in line.put(len(data), self.now) if line else ():
@@ -107,12 +113,15 @@ class Pair:
     def _obey(self, event: Event) -> None:
         if not isinstance(event, Arrived):
             return
-        if event.refused:
-            self.refused.append((self.now, event.kind, event.content, event.refused))
+        if self.execute is not None:
+            self.execute(event)
+            return
+        if event.rejection:
+            self.refused.append((self.now, event.kind, event.content, event.rejection))
             return
         self.executed.append((self.now, event.kind, event.content))
-        if event.kind is not Kind.STREAM:
-            self.robot.send(Kind.ANSWER, event.content, self.robot_time)
+        if event.kind is not MessageClass.STREAM:
+            self.robot.send(MessageClass.ANSWER, event.content, self.robot_time)
 
     def run(self, duration: float) -> None:
         """So long [s]."""

@@ -14,8 +14,8 @@ from harness.worn_arms import WORN, wear
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import HandGoal, JointSetpoints
-from valor.motion_manager.handlers.hand_goal import HandGoalHandler
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
+from valor.motion_manager.handlers.motion import HandGoalHandler
 from valor.robot.description import RobotDescription
 from valor.robot.posture_move import PostureMove
 
@@ -77,13 +77,13 @@ class ManipulatingRobot(RobotInProcess):
         quaternion = np.empty(4)
         mujoco.mju_mat2Quat(quaternion, orientation.ravel())
         message = HandGoal(self.manager.time, side, True, "odom", position, quaternion)
-        handler = HandGoalHandler.of(self.manager.parts)
+        handler = HandGoalHandler(self.manager.components)
         assert handler.handle(Received(message, 0, 1, "benchmark"), self.manager.time)
 
     def follow(self, joints: npt.NDArray[np.intp], goal: FloatArray) -> None:
         """Lead joints to a posture by set-points, as an action does, at half of their speed."""
-        limits = self.manager.parts.reference.limits
-        start = self.manager.parts.reference.position
+        limits = self.manager.components.reference.limits
+        start = self.manager.components.reference.position
         target = start.copy()
         target[joints] = goal
         move = PostureMove(
@@ -91,7 +91,7 @@ class ManipulatingRobot(RobotInProcess):
             shortest=1.0,
         )  # fmt: skip
         names = [self.robot.joints[i] for i in joints]
-        handler = JointSetpointsHandler.of(self.manager.parts)
+        handler = JointSetpointsHandler(self.manager.components)
         while move.progress(self.time) < 1.0:
             wanted = (each[joints] for each in move.at(self.time))
             message = JointSetpoints(self.manager.time, names, *wanted)

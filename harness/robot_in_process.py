@@ -55,7 +55,7 @@ class RobotInProcess:
 
     def ask(self, behavior: Behavior) -> str:
         """Ask for a behavior: why it was refused, or an empty text."""
-        reply = BehaviorHandler.of(self.manager.parts).handle(BehaviorRequest(behavior), "benchmark")
+        reply = BehaviorHandler(self.manager.components).handle(BehaviorRequest(behavior), "benchmark")
         return "" if reply.accepted else reply.reason
 
     def step(self) -> None:

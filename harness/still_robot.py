@@ -96,7 +96,7 @@ class Robot:
 
     def ask(self, behavior: Behavior) -> str:
         """Request a behavior; returns the reason of a refusal."""
-        reply = BehaviorHandler.of(self.manager.parts).handle(BehaviorRequest(behavior=behavior), "somebody")
+        reply = BehaviorHandler(self.manager.components).handle(BehaviorRequest(behavior=behavior), "somebody")
         assert reply.accepted or reply.reason
         return "" if reply.accepted else reply.reason
 

@@ -48,6 +48,13 @@ class System:
         )
         return result
 
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        """Start one verb."""
+        return subprocess.Popen(
+            [str(VALORCTL), *arguments], env=self.environment, cwd="/", stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+
     def status(self) -> dict[str, Any]:
         """``valorctl status --json``."""
         answer: dict[str, Any] = json.loads(self.valorctl("status", "--json").stdout)
@@ -231,6 +238,6 @@ def leftovers(home: Path, name: str, shared_memory_before: set[str]) -> list[str
         if ours and process.pid != os.getpid() and process.status() != psutil.STATUS_ZOMBIE:
             found.append(f"process {process.pid} {process.name()}")
     found += [str(path) for path in (home / name).rglob("*") if path.is_socket() or "key" in path.name]
-    if left := shared_memory() - shared_memory_before:
-        found += [f"/dev/shm/{entry}" for entry in left - _held()]
-    return found
+    # Twice: of what others have closed meanwhile, the list is older than the processes.
+    unheld = [shared_memory() - shared_memory_before - _held() for _ in range(2)]
+    return found + [f"/dev/shm/{entry}" for entry in set.intersection(*unheld)]

@@ -12,14 +12,14 @@ from harness.manipulating_robot import ManipulatingRobot
 from valor.common.behaviors import Behavior
 from valor.common.messages import FootstepPlanRequest, HandGoalStatus
 from valor.common.poses import Pose, middle
+from valor.manipulation.known import TASKS
+from valor.manipulation.plan import REACHED, RESISTED, HandMove
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
-from valor.rehearsal.plan_walk import footsteps
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import FEET
-from valor.robot.step_planner import plan_to
+from valor.robot.step_plan import plan_to
+from valor.self_test.plan_walk import footsteps
 from valor.simulation import worlds
-from valor.tasks.known import TASKS
-from valor.tasks.plan import REACHED, RESISTED, HandMove
 
 SETTLED = 1.5  # from the last step, or a behavior, to what comes next [s]
 STEPPING = 3.0  # that no step takes longer [s]
@@ -47,7 +47,7 @@ class Outcome:
 
     @property
     def done(self) -> bool:
-        """Whether it was."""
+        """True if it was."""
         return not self.reason and self.turned >= TASKS[self.task].enough
 
 
@@ -56,7 +56,7 @@ class TaskRobot(ManipulatingRobot):
 
     def __init__(self, robot: RobotDescription, profile: str, seed: int, task: str, *, shut: bool = False) -> None:
         self._task, self.plan = task, TASKS[task].plan(robot, seed)
-        super().__init__(robot, profile, seed, world=TASKS[task].shut if shut else task)
+        super().__init__(robot, profile, seed, world=TASKS[task].blocked if shut else task)
 
     def turned(self, joint: str) -> float:
         """Of the world's, by the simulator [rad]."""
@@ -78,7 +78,7 @@ class TaskRobot(ManipulatingRobot):
             if not self.run_until(lambda: not self.ask(behavior), 5.0):  # noqa: B023
                 return self.ask(behavior)
             self.run(0.5)
-        soles = [_pose(sole.position, sole.rotation) for sole in self.manager.parts.soles()]
+        soles = [_pose(sole.position, sole.rotation) for sole in self.manager.components.soles()]
         here, limits = middle(soles[0], soles[1]), self.robot.tables.footsteps
         assert limits is not None
         x, y, yaw = self.plan.stance
@@ -86,7 +86,7 @@ class TaskRobot(ManipulatingRobot):
         steps = plan_to((*goal.position[:2], goal.yaw), limits, self.robot.tables.walking)
         placed = [(FEET.index(step.foot), here @ step.sole) for step in steps]
         request = FootstepPlanRequest(steps=footsteps(steps, placed))
-        reply = FootstepPlanHandler.of(self.manager.parts).handle(request, "benchmark")
+        reply = FootstepPlanHandler(self.manager.components).handle(request, "benchmark")
         if not reply.accepted:
             return reply.reason
         ended = (Behavior.STAND, Behavior.FALL)
@@ -119,7 +119,7 @@ class TaskRobot(ManipulatingRobot):
 
     def _lead(self, move: HandMove) -> HandGoalStatus:
         """The hand to a goal, reached or not."""
-        goals = self.manager.parts.hand_goals
+        goals = self.manager.components.hand_goals
         self.send(RIGHT, np.array(move.hand.position), np.array(move.hand.rotation))
         self.step()
         self.run_until(lambda: goals.status(RIGHT, 0).state != "moving", move.patience)

@@ -36,5 +36,5 @@ def after(call: Callable[[], object]) -> Turns:
 
 
 def known() -> bool:
-    """Whether this machine's call is known here."""
+    """Return whether this machine's call is known here."""
     return os.uname().machine in _GET_ATTRIBUTES

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,22 +21,21 @@ from valor.common import topics
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import OPERATIONAL, Behavior, Locomotion, Manipulation
 from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState, Proprioceptor
+from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.handlers.behavior import BehaviorHandler
-from valor.motion_manager.handlers.hand_goal import HandGoalHandler
+from valor.motion_manager.handlers.handler import RejectionCounter
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
-from valor.motion_manager.handlers.rejections import Rejections
+from valor.motion_manager.handlers.motion import HandGoalHandler
 from valor.motion_manager.hands.hand_goals import HandGoals
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.upper_body import UpperBody
-from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Limiter
 from valor.robot.model import controller_model
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
-from valor.valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.control_modes import ControlModeTable, ModeReport
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
-from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 
@@ -121,11 +121,11 @@ class Commander:
         self._waiting: tuple[int, str] | None = None
         self._call: Call | None = None
 
-    def ask(self, number: int, behavior: str) -> None:
+    def request(self, number: int, behavior: str) -> None:
         self.asked += 1
         self._waiting = (number, behavior)
 
-    def forget(self) -> None:
+    def discard(self) -> None:
         self._waiting = None
 
     def close(self) -> None: ...
@@ -171,15 +171,17 @@ class MotionSystem:
         self._pelvis = Limiter(CommandedLimits.of_pelvis(ROBOT))
         self._pelvis_target = np.array((0.0, 0.0, height, 0.0, 0.0, 0.0))
         self._pelvis.reset(np.ones(6, dtype=bool), self._pelvis_target)
-        self.rejections = Rejections()
+        self.rejections = RejectionCounter()
         self._upper_body = UpperBody(ROBOT, self.reference)
-        self._behavior = BehaviorHandler(self.fsm, self.rejections, Conditions, lambda _: "")
         self.hands = HandGoals(MODEL, self.reference, ROBOT.nominal_posture)
-        self._hand_goal = HandGoalHandler(self.fsm, self.hands, self.rejections)
-        self._setpoints = JointSetpointsHandler(
-            ROBOT, self.fsm, self._upper_body, self.hands, self.rejections, taken_over=lambda: self._taken_over
-        )
-        self._taken_over = time
+        self.authority = SimpleNamespace(since=time, rejection=lambda _: "")
+        components: Any = SimpleNamespace(
+            robot=ROBOT, fsm=self.fsm, rejections=self.rejections, upper_body=self._upper_body, hand_goals=self.hands,
+            conditions=Conditions, authority=self.authority,
+        )  # fmt: skip
+        self._behavior = BehaviorHandler(components)
+        self._hand_goal = HandGoalHandler(components)
+        self._setpoints = JointSetpointsHandler(components)
         self._was = Behavior.IDLE
         self.take_up(position)
         self.fsm.go(Behavior.STAND_PREP, "first Proprioceptor")
@@ -214,7 +216,7 @@ class MotionSystem:
         elif fsm.behavior is not self._was and fsm.locomotion in (Locomotion.STAND_PREP, Locomotion.FREEZE):
             self.reference.hold(np.ones(N, dtype=bool))
         self._was = fsm.behavior
-        self._upper_body.update(now)
+        self._upper_body.update(position, now)
         if self.hands.active and fsm.manipulation is not Manipulation.TELEOP:
             self.hands.release_all(f"the behavior is {fsm.behavior}")
         self.hands.advance(NOT_IN_ODOM, self.reference.position, now, PERIOD * 1e-9)
@@ -285,7 +287,7 @@ class System:
         self.vrc = Core(
             ROBOT,
             self.network,  # type: ignore[arg-type]
-            self._make_commander,
+            self._make_commander,  # type: ignore[arg-type]
             decimation=2,
             silence_timeout=SILENCE,
             clock=lambda: self.clock,
@@ -304,7 +306,7 @@ class System:
         self.time, self.sequence = 0, 0
         if self.motion is not None:
             self.motion.go(Behavior.FALL, "robot time went back")
-            self.motion._taken_over = 0
+            self.motion.authority.since = 0
 
     def ask(self, mode: str) -> ModeClient:
         """Ask for a control mode."""

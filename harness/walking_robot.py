@@ -16,7 +16,7 @@ from harness.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import VelocityCommand
-from valor.motion_manager.handlers.velocity import VelocityHandler
+from valor.motion_manager.handlers.motion import VelocityHandler
 from valor.robot.description import RobotDescription
 from valor.whole_body.reflex import BalanceReflex
 
@@ -58,7 +58,7 @@ class WalkingRobot(RobotInProcess):
         """Forward, left [m/s], turning [rad/s]."""
         for _ in range(round(seconds / self._period)):
             command = VelocityCommand(self.manager.time, *velocity)
-            VelocityHandler.of(self.manager.parts).handle(
+            VelocityHandler(self.manager.components).handle(
                 Received(command, 0, 1, "valor_ros_controller"), self.manager.time
             )
             self.step()

@@ -14,7 +14,7 @@ from valor.robot import arm_calibration
 from valor.robot.arm_calibration import ArmCalibration
 from valor.robot.description import RobotDescription
 from valor.robot.tables import Gear
-from valor.simulation.gears import Gears
+from valor.simulation.actuators import Gears
 from valor.simulation.plant import Plant
 
 WORN = "worn"  # profile

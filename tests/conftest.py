@@ -1,7 +1,5 @@
 """Fixtures: an instance of one's own, with real processes and real sockets, that leaves nothing behind."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -13,7 +11,7 @@ import pytest
 
 from harness import examples  # noqa: F401 the profile of all property tests
 from harness.instance import RunningInstance, fresh_instance
-from valor.valorctl.ros_domain import reserve
+from valor.valorctl.instance.ros_domain import reserve
 
 # A shell starts what runs in its background with SIGINT ignored, and that is inherited: the processes that tests
 # interrupt would go on for ever.

@@ -1,4 +1,4 @@
-"""What every service does alike: start, say that it is ready, count its cycles, stop when told.
+"""Common part of all services: startup, state, statistics of the loop, end.
 
 A service's ``__main__.py`` is ``run("name", Class)``; its ``service.py`` holds the loop.
 """
@@ -20,14 +20,13 @@ from types import FrameType
 from typing import Any, Protocol, Self
 
 import bifrost
-from valor.common import membership
+from valor.common import topics
 from valor.common.errors import ConfigurationError
-from valor.common.floods import Floods, Input, TopicFloods
-from valor.common.freshness import Freshness
+from valor.common.input_checks import Floods, Freshness, Input, TopicFloods
 from valor.common.instance import Instance, Settings
 from valor.common.messages import Statistics
 from valor.common.priority import take_cores, take_priority, take_turns
-from valor.common.processes import BY_NAME, EXIT_CONFIGURATION, Process
+from valor.common.processes import BY_NAME, EXIT_CONFIGURATION
 from valor.common.topics import STATISTICS, Topic
 from valor.common.trace import Tracer
 from valor.robot.description import RobotDescription
@@ -36,11 +35,9 @@ _LOG_FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 
 
 class Context:
-    """What a service is given: instance, robot, Bifrost node, statistics, trace, and the word to stop.
+    """Environment of a service: instance, robot, Bifrost node, statistics, trace.
 
-    Attributes:
-        arguments: of the command line: ROS', where the process has a node there.
-        stopping: set by SIGTERM and SIGINT; the loop returns soon after.
+    SIGTERM and SIGINT set ``stopping``; the loop then returns. ``arguments``: of the command line, for ROS.
     """
 
     def __init__(self, name: str, instance: Instance, arguments: Sequence[str] = ()) -> None:
@@ -51,23 +48,18 @@ class Context:
         process = BY_NAME[name]
         if self.settings.variant == "hardware":
             take_priority(process.priority)
-        elif self.settings.paced:
-            self._take_cores(process)
+        elif self.settings.paced:  # before any thread starts: threads inherit the cores
+            core = take_cores(process.cores)
+            if process.cores == "own":
+                text = "no separate core: the computer has one, or does not grant it"
+                logging.getLogger(name).info(text if core is None else f"on core {core}")
         if self.settings.paced:
             take_turns(process.turns)
         self.robot = RobotDescription.load(self.settings.robot, self.settings.control_rate)
         self.stopping = threading.Event()
-        self.node = bifrost.Node(name, network=membership.network(instance, name))
+        self.node = bifrost.Node(name, network=topics.network(instance, name))
         self.statistics = StatisticsPublisher(self.node, name, self.robot.control_period)
         self.trace = Tracer(self.node, name)
-
-    @staticmethod
-    def _take_cores(process: Process) -> None:
-        """Before any thread is started, for threads stay where they are started."""
-        core = take_cores(process.cores)
-        if process.cores == "own":
-            what = "no core of its own: there is one only, or it is not granted" if core is None else f"on core {core}"
-            logging.getLogger(process.name).info("%s", what)
 
     def __enter__(self) -> Self:
         return self
@@ -84,13 +76,13 @@ class Service(Protocol):
         """Return when ``context.stopping`` is set."""
 
     def close(self) -> None:
-        """Give back everything; called once, after ``run`` and after a failed start."""
+        """Release all resources; called once, after ``run`` and after a failed start."""
 
 
 class StatisticsPublisher:
     """Counts a loop's cycles and publishes ``<service>/statistics`` once a second and at every change of state.
 
-    Latched: whoever begins to listen is told the newest at once. Used from the loop's own thread.
+    The topic is latched. Use from the loop's thread only.
     """
 
     PERIOD = 1.0  # [s]
@@ -115,9 +107,9 @@ class StatisticsPublisher:
         self._work_sum = self._work_max = self._period_sum = self._period_max = 0.0
 
     def state(self, state: str, detail: str = "") -> None:
-        """Say that the service is ``starting`` (and what it waits for), ``ready``, ``degraded`` or ``stopping``.
+        """Publish the state ``starting`` (detail: what it waits for), ``ready``, ``degraded`` or ``stopping``.
 
-        Degraded: it runs, others may count on that, but what it is there for it cannot do now; ``detail`` says why.
+        Degraded: the service runs, but cannot perform its task; ``detail`` gives the reason.
         """
         if (state, detail) != (self._state, self._detail):
             self._state, self._detail = state, detail
@@ -125,31 +117,23 @@ class StatisticsPublisher:
 
     @property
     def ready(self) -> bool:
-        """Whether the service has said that it is ready."""
+        """True if the service has reported that it is ready."""
         return self._state == "ready"
 
     def count(self, counts: Callable[[], tuple[int, int]]) -> None:
-        """Ask for ``rejected`` and ``drops`` when they are told, so that a loop need not sum them up every cycle."""
+        """Set the source of ``rejected`` and ``drops``, called at each publication and not in each cycle."""
         self._count = counts
 
     def watch(self, inputs: Iterable[Input], ros: TopicFloods | None = None) -> None:
-        """Be ``degraded`` in place of ``ready`` while a sender floods one of these, and name it."""
+        """Report ``degraded`` instead of ``ready`` while a sender floods one of the inputs, with its name."""
         self._floods = (Floods(inputs), *((ros,) if ros else ()))
 
     def depend(self, inputs: Mapping[Topic[Any], bifrost.Subscriber[Any]], robot_time: Callable[[], int]) -> None:
-        """While ``ready`` with nothing else to say, name those of these topics that do not come as they should.
-
-        Args:
-            inputs: a subscriber of each topic that the service lives by.
-            robot_time: the newest that the service knows [ns].
-        """
+        """Name late or invalid ``inputs`` in the detail of ``ready``; ``robot_time``: latest received [ns]."""
         self._freshness = Freshness(inputs, 1.0 / self._control_period, robot_time)
 
     def cycle(self, began: float, waited: float = 0.0) -> None:
-        """Count a cycle that began at ``began`` [``time.perf_counter()``, s; Linux: the monotonic clock] and ends now.
-
-        ``waited`` [s] of it were spent waiting, not working.
-        """
+        """Count a cycle from ``began``, of ``time.perf_counter()``, to now; ``waited``: the part spent waiting [s]."""
         now = time.perf_counter()
         work = now - began - waited
         self._cycles += 1
@@ -166,7 +150,7 @@ class StatisticsPublisher:
             self._publish(now)
 
     def idle(self) -> None:
-        """Publish if a second has passed; for loops that have nothing to count."""
+        """Publish if a second has passed; for loops without cycles to count."""
         now = time.perf_counter()
         if now - self._window_start >= self.PERIOD:
             self._publish(now)
@@ -175,13 +159,13 @@ class StatisticsPublisher:
         if self._count is not None:
             self.rejected, self.drops = self._count()
         state, detail = self._state, self._detail
-        if state == "ready" and (flood := "; ".join(filter(None, (each.told() for each in self._floods)))):
+        if state == "ready" and (flood := "; ".join(filter(None, (each.report() for each in self._floods)))):
             state, detail = "degraded", flood
         elif state == "ready" and not detail and self._freshness is not None:
-            detail = self._freshness.told()
+            detail = self._freshness.report()
         cycles = max(1, self._window_cycles)
         cpu_time = time.process_time()
-        newest = Statistics(
+        statistics = Statistics(
             service=self._service,
             pid=os.getpid(),
             state=state,
@@ -197,21 +181,21 @@ class StatisticsPublisher:
             drops=self.drops,
             rejected=self.rejected,
         )
-        self._publisher.publish(newest)
+        self._publisher.publish(statistics)
         self._cpu_time = cpu_time
         self._reset(now)
 
 
 def _resident() -> int:
-    """Memory of this process that is in RAM [B]. Without psutil, whose import alone takes 2 MiB of every service."""
+    """Resident memory of this process [B]; without psutil, whose import takes 2 MiB."""
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * resource.getpagesize()
 
 
 def quiet_collector() -> None:
-    """Take the garbage collector out of a control loop: what lives now lives on, cycles are collected rarely.
+    """Keep the garbage collector out of a control loop: freeze present objects, and collect rarely.
 
-    What starting has left free goes back to the kernel: several MiB in a process with rclpy.
+    Memory freed during startup is returned to the kernel: several MiB in a process with rclpy.
     """
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""One bag: an MCAP file that is readable up to its last second whatever happens to the process that writes it."""
+"""A bag: an MCAP file that stays readable up to the last flush if the writing process is killed."""
 
 from __future__ import annotations
 
@@ -8,99 +8,80 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 
-from valor.bag_recorder.quick_writer import QuickWriter
 from valor.bags.files import LIBRARY, PROFILE
 
-CHUNK_SIZE = 1 << 20  # [B] before compression; a second of recording is usually more
-SHARE = 250  # messages that are taken from a topic between two signs of life
-_LOCK_PATIENCE = 0.5  # [s]
+CHUNK_SIZE = 4 << 20  # before compression [B]; the flush every half second usually ends a chunk earlier
+SHARE = 250  # messages processed between two calls of the watchdog
+_LOCK_TIMEOUT = 0.5  # [s]
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedTopic:
-    """A topic as the bag knows it: ROS type, its definition and hash, and the QoS that its publishers offered.
-
-    Attributes:
-        latched: whoever comes late still gets the last message, so every bag begins with it.
-        type_hash: of the type's description (REP-2011); empty: not known.
-    """
+    """A topic in the bag: ROS type with definition and hash, and the QoS that its publishers offer."""
 
     name: str
     type: str
     definition: str
     qos: str = ""
-    latched: bool = False
-    type_hash: str = ""
+    latched: bool = False  # late subscribers receive the last message, so every bag starts with it
+    type_hash: str = ""  # hash of the type's description (REP-2011); empty if unavailable
 
 
 class Sink(Protocol):
-    """Where messages go."""
+    """A receiver of messages."""
 
     def write(self, topic: RecordedTopic, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
         """Add a message; see ``Bag.write``."""
 
 
 class _File:
-    """A file without a buffer of its own: what is written is the system's at once, and an error is told at once."""
+    """An unbuffered, locked file: each write reaches the operating system, and raises its own error.
+
+    The MCAP library would wrap a raw file of ``io`` into a buffer.
+    """
 
     def __init__(self, path: Path) -> None:
         self._raw = open(path, "xb", buffering=0)  # noqa: SIM115  # closed by ``close``
-        self._lock()
-        self._position = 0
-
-    def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        while rest:
-            written = self._raw.write(rest)
-            self._position += written
-            rest = rest[written:]
-        return len(data)
-
-    def tell(self) -> int:
-        return self._position
-
-    def _lock(self) -> None:
-        """Tell others that somebody writes. Whoever looks just then whether somebody does holds it for a moment."""
-        deadline = time.monotonic() + _LOCK_PATIENCE
+        self.tell, self.close = self._raw.tell, self._raw.close
+        deadline = time.monotonic() + _LOCK_TIMEOUT
         while True:
             try:
                 fcntl.flock(self._raw, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 return
-            except BlockingIOError:
+            except BlockingIOError:  # a reader of its state holds the lock for a moment
                 if time.monotonic() > deadline:
                     raise
                 time.sleep(0.001)
 
-    def flush(self) -> None:
-        """Nothing is held back."""
+    def write(self, data: bytes) -> int:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._raw.write(rest) :]
+        return len(data)
 
-    def close(self) -> None:
-        self._raw.close()
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
 
 
 class Bag:
     """Writes an MCAP file of ROS 2 messages in CDR.
 
-    Messages gather in a chunk; ``flush`` hands it to the system. What was flushed outlives SIGKILL.
-
-    Attributes:
-        path: the file.
-        written: messages so far, by topic.
+    Messages are collected in a chunk; ``flush`` passes it to the operating system. Flushed messages survive SIGKILL.
 
     Raises:
         OSError: by the constructor and by every method that writes.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.written: dict[str, int] = {}
+        self.path = path  # the file
+        self.written: dict[str, int] = {}  # number of messages by topic
         self._file = _File(path)
-        self._writer = QuickWriter(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
+        self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD)
         try:
             self._writer.start(PROFILE, LIBRARY)
-        except OSError:  # no trace of a bag that could not begin
+        except OSError:  # leave no file of a bag that could not start
             self._file.close()
             path.unlink(missing_ok=True)
             raise
@@ -108,18 +89,17 @@ class Bag:
         self._channels: dict[RecordedTopic, int] = {}
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Write a metadata record."""
         self._writer.add_metadata(name, values)
 
     def write(self, topic: RecordedTopic, log_time: int, publish_time: int, sequence: int, data: bytes) -> None:
         """Add a message.
 
         Args:
-            topic: its topic; the channel is made at its first message.
-            log_time: wall clock [ns] by which readers order it.
-            publish_time: wall clock [ns] of its publication.
-            sequence: the publisher's count; the lower 32 bits are kept.
-            data: CDR with its encapsulation.
+            topic: of the message; its first message creates the channel.
+            log_time: wall clock [ns] by which readers order messages.
+            publish_time: of the publication, wall clock [ns].
+            sequence: number by the publisher; the lower 32 bits are stored.
+            data: CDR with encapsulation.
         """
         channel = self._channels.get(topic)
         if channel is None:
@@ -129,16 +109,15 @@ class Bag:
 
     @property
     def messages(self) -> int:
-        """Written so far."""
         return sum(self.written.values())
 
     @property
     def size(self) -> int:
-        """Of the file so far [B]."""
+        """Size of the file [B]."""
         return self._file.tell()
 
     def flush(self) -> None:
-        """Hand everything so far to the system."""
+        """Pass all messages to the operating system."""
         self._writer.flush()
 
     def close(self) -> None:
@@ -149,7 +128,7 @@ class Bag:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close the file as it is, without an index: writing failed."""
+        """Close the file without an index after a failed write."""
         self._file.close()
 
     def _open_channel(self, topic: RecordedTopic) -> int:
@@ -157,9 +136,9 @@ class Bag:
         if schema is None:
             schema = self._writer.register_schema(topic.type, "ros2msg", topic.definition.encode())
             self._schemas[topic.type] = schema
-        # As rosbag2_storage_mcap names them.
-        told = {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.type_hash}
-        metadata = {key: text for key, text in told.items() if text}
+        # Keys of rosbag2_storage_mcap.
+        qos = {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.type_hash}
+        metadata = {key: text for key, text in qos.items() if text}
         channel: int = self._writer.register_channel(topic.name, "cdr", schema, metadata)
         self._channels[topic] = channel
         self.written.setdefault(topic.name, 0)

@@ -1,9 +1,8 @@
-"""From monotonic stamps to the wall clock: the offset taken at start, and how the clocks have moved since.
+"""Conversion of monotonic stamps to the wall clock: a constant offset, and the drift of the wall clock since then.
 
-The thesis (4.3.1) adds one offset, taken when the recorder starts, to every Bifrost stamp. The wall clock may be set or
-slewed while a bag is recorded; the offset stays, so that intervals between messages stay exact. The middleware stamps
-ROS messages with the wall clock as it is: the drift is taken off again, so that both sides stay on one axis. How the
-wall clock moved goes into the bag as metadata.
+The thesis (4.3.1) adds one offset, measured when the recorder starts, to every Bifrost stamp. It stays constant if the
+wall clock is set or slewed, so that intervals between messages stay exact. From ROS messages, stamped with the wall
+clock, the recorder subtracts the drift, so that all messages share one time axis. The bag's metadata has the drift.
 """
 
 from __future__ import annotations
@@ -15,70 +14,49 @@ _TRIES = 20
 
 
 def measure_offset() -> int:
-    """Wall minus monotonic clock [ns]: of several readings the one between the closest monotonic stamps."""
-    best_gap, best_offset = None, 0
+    """Wall minus monotonic clock [ns]: of several readings, the one between the closest monotonic stamps."""
+    readings = []
     for _ in range(_TRIES):
-        before = time.monotonic_ns()
-        wall = time.time_ns()
-        after = time.monotonic_ns()
-        if best_gap is None or after - before < best_gap:
-            best_gap, best_offset = after - before, wall - (before + after) // 2
-    return best_offset
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        readings.append((after - before, wall - (before + after) // 2))
+    return min(readings)[1]
 
 
 @dataclass(frozen=True)
 class ClockChange:
-    """The wall clock has moved against the monotonic one.
+    """A movement of the wall clock against the monotonic clock."""
 
-    Attributes:
-        kind: ``step``: it was set, between two checks; ``drift``: it went slower or faster.
-        monotonic: when it was seen [ns].
-        moved: since the last change that was told [ns].
-        drift: since the recorder's start [ns].
-    """
-
-    kind: str
-    monotonic: int
-    moved: int
-    drift: int
+    kind: str  # ``step`` if the clock was set between two checks, ``drift`` if it ran slower or faster
+    monotonic: int  # time of detection [ns]
+    moved: int  # since the last reported change [ns]
+    drift: int  # since the recorder's start [ns]
 
     def describe(self) -> str:
-        """One line."""
         how = "was set by" if self.kind == "step" else "has drifted"
         return f"the wall clock {how} {self.moved * 1e-9:+.6f} s; {self.drift * 1e-9:+.6f} s since the recorder's start"
 
     def metadata(self) -> dict[str, str]:
-        """As it stands in the bag."""
-        return {
-            "monotonic_ns": str(self.monotonic),
-            "moved_ns": str(self.moved),
-            "drift_ns": str(self.drift),
-        }
+        return {"monotonic_ns": str(self.monotonic), "moved_ns": str(self.moved), "drift_ns": str(self.drift)}
 
 
-class WallClock:
-    """Turns monotonic stamps [ns] into wall clock stamps [ns].
+class StampConverter:
+    """Converter of monotonic stamps [ns] to wall clock stamps [ns]."""
 
-    Attributes:
-        offset: wall minus monotonic at start [ns]; added to every stamp.
-        drift: how much more it is now [ns], as last checked.
-        steps: how often the wall clock was set.
-    """
-
-    NOTABLE = 1_000_000  # [ns] of change between two reports
-    STEP = 20_000_000  # [ns] between two checks, a second apart: more than a clock is slewed
+    NOTABLE = 1_000_000  # least change that is reported [ns]
+    STEP = 20_000_000  # least change within a second that slewing cannot explain [ns]
 
     def __init__(self) -> None:
-        self.offset = measure_offset()
-        self.drift = self.steps = 0
+        self.offset = measure_offset()  # wall minus monotonic clock at the start [ns]; added to every stamp
+        self.drift = 0  # change of that difference up to the last check [ns]
+        self.steps = 0  # number of times the wall clock was set
         self._reported = 0
 
     def moved(self) -> bool:
-        """Whether the wall clock seems to have been set since the last check; quick, and right when it says no."""
+        """Return whether the wall clock may have been set since the last check: a fast test without false negatives."""
         return abs(time.time_ns() - time.monotonic_ns() - self.offset - self.drift) >= self.NOTABLE
 
     def check(self) -> ClockChange | None:
-        """Measure the drift; how the wall clock has moved, if notably since last told."""
+        """Measure the drift; returns the movement since the last report, if it is notable."""
         before = self.drift
         self.drift = measure_offset() - self.offset
         moved = self.drift - self._reported
@@ -90,7 +68,6 @@ class WallClock:
         return ClockChange("step" if stepped else "drift", time.monotonic_ns(), moved, self.drift)
 
     def metadata(self) -> dict[str, str]:
-        """As it stands at the end of a bag."""
         return {
             "wall_minus_monotonic_ns": str(self.offset),
             "drift_ns": str(self.drift),

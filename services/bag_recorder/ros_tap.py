@@ -1,8 +1,7 @@
-"""What the recorder takes from ROS 2: every topic of the graph, as the bytes that came.
+"""ROS side of the recorder: every topic of the graph, as serialized bytes.
 
-Nothing spins. The middleware receives in threads of its own and stamps what it receives; the recorder takes the bytes
-from each subscription's queue at its own pace, which costs some microseconds a message where an executor's wake-up
-costs over a hundred.
+No executor spins. The middleware receives and stamps messages in its own threads; the recorder polls each
+subscription's queue, which costs some microseconds per message. An executor's wake-up costs over a hundred.
 """
 
 from __future__ import annotations
@@ -14,92 +13,81 @@ from typing import Any
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from valor.bag_recorder.bag import SHARE, RecordedTopic, Sink
-from valor.bag_recorder.clock import WallClock
+from valor.bag_recorder.clock import StampConverter
 from valor.bags.selection import Selection
 from valor.ros.definitions import UnknownTypeError, definition, message_type, type_hash
-from valor.ros.node import Untouched
-from valor.ros.taking import uncalled
+from valor.ros.taking import polled
 from valor.ros.topics import asks_less, qos_text, shown, suiting
 
-DEPTH = 2000  # messages a topic that may wait for the next look
-ROUNDS = 8  # of discovery, in which every known topic is looked over once
+DEPTH = 2000  # queue length per topic [messages]
+ROUNDS = 8  # of discovery, over which every known topic is checked once
 
 _log = logging.getLogger("bag_recorder")
 
 
 class _Tap:
-    """One topic's subscription.
+    """One topic's subscription."""
 
-    Attributes:
-        received, unwritten: messages so far, and those of them that no bag could take.
-        lost: messages that the one publisher sent and that never came; not known where there are several.
-    """
-
-    untouched = Untouched()
-
-    def __init__(self, node: Any, topic: RecordedTopic, message_type: type, qos: QoSProfile) -> None:
+    def __init__(self, topic: RecordedTopic) -> None:
         self.topic = topic
-        self.message_type = message_type
-        self.qos = qos
-        self.received = self.unwritten = self.lost = 0
-        self.publishers = 0
-        self.seen = 0  # publishers in the graph when the tap was last looked over, the recorder's own included
+        self.message_type = message_type(topic.type)
+        self.received = self.unwritten = 0  # messages, and those of them received while no bag could be written
+        self.lost = 0  # messages of the only publisher that were not received; not counted with several publishers
+        self.publishers = self.seen = 0  # without the recorder's; and with it, at the last check
+        self.qos: QoSProfile | None = None
+        self.subscription: Any = None
         self._last = 0
-        self.subscription = node.create_subscription(
-            message_type, topic.name, uncalled, qos, callback_group=self.untouched, raw=True
-        )
+
+    def subscribe(self, node: Any, qos: QoSProfile) -> None:
+        """Subscribe, unless there is a subscription that requests no more than ``qos``."""
+        if self.qos is not None:
+            if not asks_less(qos, self.qos):
+                return
+            node.destroy_subscription(self.subscription)
+        self.qos = qos
+        self.subscription = polled(node, self.message_type, self.topic.name, qos, raw=True)
 
     def follow(self, sequence: int) -> None:
-        """Count what is missing before a message of the publisher's count ``sequence``."""
+        """Count the messages missing before the publisher's message number ``sequence``."""
         if self.publishers == 1 and 0 < self._last < sequence:
             self.lost += sequence - self._last - 1
-        self._last = sequence  # one that begins anew comes from a new publisher
-
-    def resubscribed(self, before: _Tap) -> None:
-        """Go on with the counts of the subscription that this one replaces."""
-        self.received, self.unwritten, self.lost = before.received, before.unwritten, before.lost
+        self._last = sequence  # a number that restarts comes from a new publisher
 
 
 class RosTap:
-    """Discovers topics, subscribes with a QoS that suits all their publishers, and moves what has come into the bag."""
+    """Discovers topics, subscribes with a QoS compatible with all publishers, and passes messages to a sink."""
 
     def __init__(
         self,
         node: Any,
-        clock: WallClock,
+        clock: StampConverter,
         selection: Selection,
         alive: Callable[[], None] = lambda: None,
         namespace: str = "",
     ) -> None:
-        """Nothing is subscribed to yet.
+        """Create the tap without subscriptions.
 
-        Args:
-            node: of the graph; closed by its owner.
-            clock: that tells the times of messages.
-            selection: of the topics.
-            alive: called now and then while much is found or taken.
-            namespace: of the robot: what stands in another is not recorded; empty: all is.
+        ``alive``: watchdog, called repeatedly during long work; ``namespace``: the only one recorded, if not empty.
         """
         self._clock, self._selection, self._alive, self._namespace = clock, selection, alive, namespace
         self._node = node
         self._taps: dict[str, _Tap] = {}
-        self._refused: set[str] = set()
+        self._rejected: set[str] = set()
         self._round = 0
 
     @property
     def counts(self) -> dict[str, tuple[int, int]]:
-        """Received and dropped since start, by topic."""
         return {name: (tap.received, tap.lost + tap.unwritten) for name, tap in self._taps.items()}
 
     def discover(self) -> None:
-        """Subscribe to topics that are new, and anew to those whose publishers now offer less than was asked for.
+        """Subscribe to new topics, and again to topics whose publishers now offer less than the subscription requests.
 
-        Asking who publishes a topic takes ten times as long as asking how many: what is known is asked the former when
-        the number has changed, and now and then in turn.
+        Querying the publishers of a topic takes ten times as long as counting them: of known topics they are queried
+        after their number changed, and once in ``ROUNDS`` calls.
         """
         self._round = (self._round + 1) % ROUNDS
         for i, (name, types) in enumerate(self._node.get_topic_names_and_types()):
-            if name in self._refused or not shown(name, self._namespace) or name not in self._selection:
+            if name in self._rejected or not shown(name, self._namespace) or name not in self._selection:
                 continue
             self._alive()
             count = self._node.count_publishers(name)
@@ -114,25 +102,15 @@ class RosTap:
             if not publishers:
                 continue
             qos = suiting([publisher.qos_profile for publisher in publishers], DEPTH)
-            tap = self._taps.get(name)
-            if tap is None:
-                self._subscribe(name, types, qos)
-            elif asks_less(qos, tap.qos):
-                self._node.destroy_subscription(tap.subscription)
-                self._taps[name] = _Tap(self._node, tap.topic, tap.message_type, qos)
-                self._taps[name].resubscribed(tap)
-            if name in self._taps:
-                self._taps[name].publishers = len(publishers)
-                self._taps[name].seen = count
+            tap = known or self._tap(name, types, qos)
+            if tap is not None:
+                tap.subscribe(self._node, qos)
+                tap.publishers, tap.seen = len(publishers), count
 
     def drain(self, sink: Sink | None) -> None:
-        """Hand on what waits; without a sink it is let go.
+        """Pass the waiting messages to a sink; without a sink, count them as dropped.
 
-        ``log_time`` is when the middleware received a message, ``publish_time`` when it was sent, both on the wall
-        clock as it went at start.
-
-        Raises:
-            OSError: the bag cannot be written.
+        ``log_time`` is the reception by the middleware, ``publish_time`` the sending, both without the clock's drift.
         """
         drift = self._clock.drift
         for tap in self._taps.values():
@@ -152,13 +130,16 @@ class RosTap:
                     received, sent = info["received_timestamp"] - drift, info["source_timestamp"] - drift
                     sink.write(tap.topic, received, sent, sequence, data)
 
-    def _subscribe(self, name: str, types: list[str], qos: QoSProfile) -> None:
+    def _tap(self, name: str, types: list[str], qos: QoSProfile) -> _Tap | None:
+        """A new tap of a topic; None if the topic cannot be recorded."""
         try:
             if len(types) > 1:
                 raise UnknownTypeError(f"it has more than one type: {', '.join(sorted(types))}")
             latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
             topic = RecordedTopic(name, types[0], definition(types[0]), qos_text(qos), latched, type_hash(types[0]))
-            self._taps[name] = _Tap(self._node, topic, message_type(types[0]), qos)
+            tap = self._taps[name] = _Tap(topic)
         except UnknownTypeError as error:
-            self._refused.add(name)
+            self._rejected.add(name)
             _log.warning("%s: not recorded: %s", name, error)
+            return None
+        return tap

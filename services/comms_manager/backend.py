@@ -1,4 +1,4 @@
-"""The seam between the main loop and what it runs on: simulated devices or real ones."""
+"""Interface between the main loop and its devices, simulated or real."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from valor.comms_manager.commands import Commands
 
 
 class Backend(ABC):
-    """The robot's devices as the main loop sees them, and how their time passes.
+    """The robot's devices and their time.
 
     Attributes:
-        waits_for_motor: robot time begins with the first Motor; otherwise it passes by itself.
-        demand: what the devices' condition demands of the robot.
+        waits_for_motor: robot time starts with the first Motor; otherwise it passes independently.
+        demand: reaction that the condition of the devices requires.
     """
 
     waits_for_motor = True
@@ -22,11 +22,11 @@ class Backend(ABC):
 
     @property
     def paused(self) -> bool:
-        """Whether robot time stands, because somebody wants it to."""
+        """True if robot time is paused on request."""
         return False
 
-    def resume(self) -> None:  # noqa: B027  # of a real robot time always passes
-        """Let robot time pass, if it was paused."""
+    def resume(self) -> None:  # noqa: B027  # time of a real robot always passes
+        """Resume robot time, if paused."""
 
     @property
     @abstractmethod
@@ -36,18 +36,18 @@ class Backend(ABC):
     @property
     @abstractmethod
     def slip(self) -> float:
-        """Robot time lost against the wall since the first Motor [s]."""
+        """Wall-clock time that robot time has lost since the first Motor [s]."""
 
     @property
-    def remark(self) -> str:
-        """What a person is to know of its clock, while all is well otherwise; empty: nothing."""
+    def note(self) -> str:
+        """Status note about the clock; an empty string without one."""
         return ""
 
     @abstractmethod
     def advance(self, commands: Commands) -> float:
-        """Bring the devices to the end of the control period, obeying ``commands``.
+        """Advance the devices to the end of the control period, applying ``commands``.
 
-        Takes commands in when its clock says so. Returns the time spent waiting [s].
+        Returns the time spent waiting [s].
         """
 
     @abstractmethod
@@ -56,12 +56,12 @@ class Backend(ABC):
 
     @abstractmethod
     def attend(self) -> None:
-        """Do what is due beside the devices: answer requests, publish topics of its own."""
+        """Serve requests and publish the backend's own topics."""
 
     @abstractmethod
     def pace(self) -> None:
-        """Wait until the end of the period is due on the wall."""
+        """Wait until the end of the period on the wall clock."""
 
     @abstractmethod
     def close(self) -> None:
-        """Give back the devices."""
+        """Close the devices."""

@@ -1,4 +1,4 @@
-"""Which Motor is obeyed: the newest sound one, until Motor is silent."""
+"""Checks Motor messages and detects their timeout."""
 
 from __future__ import annotations
 
@@ -9,162 +9,145 @@ import time
 import bifrost
 from valor.common.behaviors import Reaction
 from valor.common.messages import JointMode, Motor, Proprioceptor
-from valor.comms_manager.leader import Leader
+from valor.comms_manager.command_arbiter import CommandArbiter
 from valor.robot.description import RobotDescription
 
-COMMAND_TIMEOUT = 0.1  # robot time without a Motor, after which the joints are held [s]
-MISSES_TO_SILENCE = 3  # waits timed out in a row, after which the joints are held
-AT_ONCE = 16  # Motors that a period takes in, at most
-TAKING = 5e-4  # likewise, for how long [s]
-ABSENCE = 5  # periods without an answer, after which it is looked whether anybody publishes Motor at all
-_LOOK_EVERY = 0.05  # while waiting: whether anybody publishes Motor at all [s]
+COMMAND_TIMEOUT = 0.1  # timeout of Motor in robot time, after which the joints hold [s]
+MISSES_TO_SILENCE = 3  # consecutive wait timeouts, after which the joints hold
+AT_ONCE = 16  # largest number of Motors processed per period
+TAKING = 5e-4  # largest duration of that [s]
+ABSENCE = 5  # periods without an answer, after which the publishers of Motor are checked
+_LOOK_EVERY = 0.05  # period of checking the publishers of Motor while waiting [s]
 _HIGHEST_MODE = max(JointMode)
-_LOG_EVERY = 10.0  # of each kind of refusal [s]
+_LOG_EVERY = 10.0  # per kind of rejection [s]
 _log = logging.getLogger("comms_manager")
 
 
 class Commands:
-    """Takes Motor messages in, refuses unsound ones whole, and tells when Motor has fallen silent.
+    """Receives Motor messages, rejects invalid ones whole, and detects their timeout.
 
-    A Motor says which Proprioceptor it answers. One that answers a state of another world (before a restart of this
-    process), a state older than that answered already, or one older than the time-out is not obeyed, nor one of a
-    Motion Manager that began before the one obeyed last.
-
-    Attributes:
-        leader: has the Motor in force, and who leads the robot when none comes.
-        refused: how many were refused.
-        waits_timed_out: how often ``wait`` gave up.
+    A Motor contains the sequence of the Proprioceptor that it answers. It is rejected if that state is of another run
+    of this process, older than one already answered, or older than the timeout; or if its Motion Manager started before
+    the active one.
     """
 
-    def __init__(self, subscriber: bifrost.Subscriber[Motor], robot: RobotDescription, leader: Leader) -> None:
-        self.leader = leader
+    def __init__(self, subscriber: bifrost.Subscriber[Motor], robot: RobotDescription, arbiter: CommandArbiter) -> None:
+        self.arbiter = arbiter  # selects the active Motor
         self._subscriber = subscriber
         self._length = len(robot.joints)
         self._max_age = round(COMMAND_TIMEOUT * robot.tables.control_rate)
-        self._first = self._current = 0
+        self._first = 0
+        self.current = 0  # sequence of the latest published Proprioceptor
         self._answered = 0
         self._time = self._admitted_at = 0
         self._writer = 0
         self._misses = 0
         self._logged: dict[str, float] = {}
-        self.refused = 0
+        self.rejected = 0
         self.waits_timed_out = 0
 
     def measured(self, state: Proprioceptor, demand: Reaction) -> None:
-        """A Proprioceptor was published: what is admitted from now on answers it at the newest.
-
-        Args:
-            state: it.
-            demand: of the devices.
-        """
-        leader = self.leader
+        """Note a published Proprioceptor, which later Motors may answer; ``demand``: of the devices."""
+        arbiter = self.arbiter
         self._first = self._first or state.sequence
-        self._current, self._time = state.sequence, state.time
-        leader.measured(state)
-        if leader.motor is not None and not leader.abandoned:
+        self.current, self._time = state.sequence, state.time
+        arbiter.measured(state)
+        if arbiter.motor is not None and not arbiter.abandoned:
             if self._time - self._admitted_at > COMMAND_TIMEOUT * 1e9:
-                leader.abandon(f"no Motor for {COMMAND_TIMEOUT:g} s of robot time")
+                arbiter.abandon(f"no Motor for {COMMAND_TIMEOUT:g} s of robot time")
             elif self.age > ABSENCE and not self._subscriber.publishers:
-                leader.abandon("nobody publishes Motor any more")
-        if leader.balancing:
+                arbiter.abandon("no process publishes Motor any more")
+        if arbiter.balancing:
             self.take()
-        if leader.answer(demand):
+        if arbiter.answer(demand):
             self._answered = state.sequence
 
     @property
     def age(self) -> int:
-        """Periods between the newest state and the one that the Motor in force answers."""
-        return self._current - self._answered
-
-    @property
-    def newest(self) -> int:
-        """Sequence of the newest Proprioceptor that was published."""
-        return self._current
+        """Periods between the latest state and the one that the active Motor answers."""
+        return self.current - self._answered
 
     @property
     def drops(self) -> int:
-        """Messages that were lost on the way."""
         return self._subscriber.drops
 
     def take(self) -> None:
-        """Admit or refuse what waits, as much as a period may take; never blocks."""
+        """Process waiting Motors, within the limits of a period; never blocks."""
         for received in self._subscriber.drain(AT_ONCE, TAKING):
             self._consider(received.message, received.origin)
 
     def wait(self, timeout: float, age: int = 0) -> bool:
-        """Wait until the Motor in force answers a state at most ``age`` periods old.
+        """Wait until the active Motor answers a state at most ``age`` periods old; returns whether it does.
 
-        Returns whether it does; if not within ``timeout`` [s], that is counted, and Motor is silent after several.
-        It is silent at once if its publisher is gone: a slow controller is waited for, a dead one is not.
+        A timeout [s] is counted; after ``MISSES_TO_SILENCE`` of them, or at once if no process publishes Motor, the
+        arbiter is notified.
         """
         deadline = time.perf_counter() + timeout
-        leader = self.leader
-        while leader.motor is None or self.age > age:
+        arbiter = self.arbiter
+        while arbiter.motor is None or self.age > age:
             remaining = deadline - time.perf_counter()
             if remaining <= 0.0:
-                if leader.motor is not None:
+                if arbiter.motor is not None:
                     self.waits_timed_out += 1
                     self._misses += 1
                     if self._misses >= MISSES_TO_SILENCE:
-                        leader.abandon(f"{self._misses} waits of {timeout:g} s for a Motor timed out")
+                        arbiter.abandon(f"{self._misses} waits of {timeout:g} s for a Motor timed out")
                 return False
             received = self._subscriber.receive(timeout=min(remaining, _LOOK_EVERY))
             if received is not None:
                 self._consider(received.message, received.origin)
-            elif leader.motor is not None and not self._subscriber.publishers:
-                leader.abandon("nobody publishes Motor any more")
+            elif arbiter.motor is not None and not self._subscriber.publishers:
+                arbiter.abandon("no process publishes Motor any more")
                 return False
         self._misses = 0
         return True
 
     def listen(self, timeout: float) -> None:
-        """Admit what has come, or else the next that comes within ``timeout`` [s]; a miss is not counted.
+        """Process waiting Motors, or the next within ``timeout`` [s]; a timeout is not counted.
 
-        For a robot whose time passes by itself: Motor is silent when none has come for the time-out, whatever was
-        waited for.
+        For hardware, where Motor times out by ``COMMAND_TIMEOUT`` only.
         """
-        before = self.leader.admitted
+        before = self.arbiter.admitted
         self.take()
-        if self.leader.admitted == before and timeout > 0.0:
+        if self.arbiter.admitted == before and timeout > 0.0:
             received = self._subscriber.receive(timeout=timeout)
             if received is not None:
                 self._consider(received.message, received.origin)
 
     @property
     def answered(self) -> bool:
-        """Whether the Motor in force answers the newest state."""
-        return self.leader.motor is not None and self.age <= 0
+        """True if the active Motor answers the latest state."""
+        return self.arbiter.motor is not None and self.age <= 0
 
     def _consider(self, motor: Motor, origin: str) -> None:
-        """Admit a Motor, or count and log why not; those that may not lead the robot now are passed over."""
-        if not self.leader.hears(motor):
+        """Admit a Motor, or count and log its rejection; Motors that the arbiter does not accept are ignored."""
+        if not self.arbiter.accepts(motor):
             return
         if reason := self._fault(motor):
-            self.refused += 1
+            self.rejected += 1
             kind = reason.partition(":")[0]
             now = time.monotonic()
             if now - self._logged.get(kind, -_LOG_EVERY) >= _LOG_EVERY:
                 self._logged[kind] = now
-                _log.warning("Motor from %s refused: %s (%d refused since start)", origin, reason, self.refused)
-        elif self.leader.follow(motor, origin):
+                _log.warning("Motor from %s rejected: %s (%d rejected since start)", origin, reason, self.rejected)
+        elif self.arbiter.follow(motor, origin):
             self._answered = motor.proprioceptor_sequence
             self._admitted_at = self._time
             self._writer = motor.writer
             self._misses = 0
 
     def _fault(self, motor: Motor) -> str:
-        """Why a Motor is not obeyed; empty if it is."""
         answers = motor.proprioceptor_sequence
         if not self._first:
             return "answers no state: none has been measured yet"
-        if not self._first <= answers <= self._current:
-            return f"answers no state of this world: {answers}, expected {self._first} to {self._current}"
+        if not self._first <= answers <= self.current:
+            return f"answers no state of this run: {answers}, expected {self._first} to {self.current}"
         if motor.writer < self._writer:
-            return f"of an older Motion Manager: began at {motor.writer} ns, the one obeyed at {self._writer} ns"
+            return f"of an older Motion Manager: started at {motor.writer} ns, the active one at {self._writer} ns"
         if answers < self._answered:
-            return f"older than the one in force: answers {answers}, {self._answered} is answered"
-        if self.leader.motor is not None and self._current - answers > self._max_age:
-            return f"too old: answers {answers}, now is {self._current}, at most {self._max_age} periods are allowed"
+            return f"older than the active one: answers {answers}, expected at least {self._answered}"
+        if self.arbiter.motor is not None and self.current - answers > self._max_age:
+            return f"too old: answers {answers}, latest is {self.current}, expected at most {self._max_age} periods"
         n, mode = self._length, motor.mode
         position, velocity, effort = motor.position, motor.velocity, motor.effort
         stiffness, damping = motor.stiffness, motor.damping

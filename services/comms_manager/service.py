@@ -10,19 +10,18 @@ from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, P
 from valor.common.topics import CLOCK, MOTOR, PROPRIOCEPTOR, STOP
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
+from valor.comms_manager.command_arbiter import BehaviorLatch, CommandArbiter
 from valor.comms_manager.commands import AT_ONCE, Commands
-from valor.comms_manager.latch import BehaviorLatch
-from valor.comms_manager.leader import Leader
 from valor.service import Context, quiet_collector
 from valor.whole_body.reflex import BalanceReflex
 
-STAND_BY_PERIOD = 0.05  # between copies of the first Proprioceptor, until a Motor answers it [s]
-PAUSED_PERIOD = 0.01  # between looks at requests while robot time stands [s]
-STOPS_AT_ONCE = 2  # requests that a period answers, at most
+STAND_BY_PERIOD = 0.05  # period of repeating the first Proprioceptor, until a Motor answers it [s]
+PAUSED_PERIOD = 0.01  # period of serving requests while robot time is paused [s]
+STOPS_AT_ONCE = 2  # largest number of stop requests per period
 
 
 class CommsManager:
-    """Runs a backend: measures, publishes, and lets the devices obey what the Motion Manager answers."""
+    """Runs a backend: measures, publishes, and applies the Motion Manager's Motors."""
 
     def __init__(self, context: Context) -> None:
         self._context = context
@@ -32,39 +31,36 @@ class CommsManager:
         self._proprioceptor = PROPRIOCEPTOR.publisher(node)
         self._latch = BehaviorLatch(context.instance.behavior_file, context.settings.epoch)
         motors = MOTOR.subscriber(node, queue=AT_ONCE)
-        self._leader = Leader(BalanceReflex(context.robot), self._latch)
+        self._arbiter = CommandArbiter(BalanceReflex(context.robot), self._latch)
         self._stop = STOP.server(node, self._stop_robot)
         self._statistics.watch((motors, self._stop))
-        self._commands = Commands(motors, context.robot, self._leader)
+        self._commands = Commands(motors, context.robot, self._arbiter)
         self._clock = ClockReport(CLOCK.publisher(node))
         self._backend = make_backend(context)
         self._time = 0  # robot time [ns]
         self._statistics.depend({MOTOR: motors}, lambda: self._time)
-        # Microseconds since the computer started, by a clock that nobody sets: greater than every sequence of earlier
-        # runs, so that a Motor which answers the world before a restart is known.
+        # Monotonic microseconds exceed every sequence of earlier runs, so that Motors for an earlier run are detected.
         self._sequence = time.monotonic_ns() // 1000
 
     def run(self) -> None:
-        """Stand by until the first Motor if the backend does, then run until told to stop."""
+        """Wait for the first Motor, if the backend does, then run until the service stops."""
         quiet_collector()
         if self._backend.waits_for_motor:
             self._stand_by()
         else:
             self._statistics.state("ready")
         backend, commands, statistics, trace = self._backend, self._commands, self._statistics, self._trace
-        told = ""
+        reported = ""
         began = time.perf_counter()
         while not self._context.stopping.is_set():
             waited = backend.advance(commands)
             state = self._measure()
             trace.mark(Stage.MEASURE)
-            backend.attend()
-            self._stop.serve(STOPS_AT_ONCE)
-            self._clock.update(backend, commands, state.time)
-            statistics.rejected, statistics.drops = commands.refused, commands.drops
-            if (remark := backend.remark) != told:
-                told = remark
-                statistics.state("ready", remark)
+            self._attend(state)
+            statistics.rejected, statistics.drops = commands.rejected, commands.drops
+            if (note := backend.note) != reported:
+                reported = note
+                statistics.state("ready", note)
             statistics.cycle(began, waited)
             trace.cycle()
             trace.mark(Stage.ATTEND)
@@ -76,44 +72,43 @@ class CommsManager:
             trace.mark(Stage.PUBLISH, state.sequence)
 
     def close(self) -> None:
-        """Give back the devices."""
         self._backend.close()
         self._latch.close()
 
     def _stand_by(self) -> None:
-        """Publish one state until a Motor answers it: nothing moves before the controllers are up."""
+        """Repeat one state until a Motor answers it: nothing moves before the controllers are ready."""
         state = self._measure()
         while not self._context.stopping.is_set():
             self._publish(state)
-            self._statistics.state("ready", "robot time begins with the first Motor")
-            self._backend.attend()
-            self._stop.serve(STOPS_AT_ONCE)
-            self._clock.update(self._backend, self._commands, state.time)
-            if self._commands.wait(STAND_BY_PERIOD) or self._leader.abandoned:
+            self._statistics.state("ready", "robot time starts with the first Motor")
+            self._attend(state)
+            if self._commands.wait(STAND_BY_PERIOD) or self._arbiter.abandoned:
                 self._statistics.state("ready")
                 return
-            self._statistics.rejected = self._commands.refused
+            self._statistics.rejected = self._commands.rejected
             self._statistics.idle()
 
     def _stand_still(self, state: Proprioceptor) -> None:
-        """Answer requests until robot time passes again."""
         while self._backend.paused and not self._context.stopping.wait(PAUSED_PERIOD):
-            self._backend.attend()
-            self._stop.serve(STOPS_AT_ONCE)
-            self._clock.update(self._backend, self._commands, state.time)
-            self._statistics.state("ready", self._backend.remark)
+            self._attend(state)
+            self._statistics.state("ready", self._backend.note)
             self._statistics.idle()
-        self._statistics.state("ready", self._backend.remark)
+        self._statistics.state("ready", self._backend.note)
+
+    def _attend(self, state: Proprioceptor) -> None:
+        self._backend.attend()
+        self._stop.serve(STOPS_AT_ONCE)
+        self._clock.update(self._backend, self._commands, state.time)
 
     def _stop_robot(self, request: BehaviorRequest, origin: str) -> BehaviorReply:
-        """A robot whose time stands cannot come to rest: time passes for that."""
+        """Resume robot time, without which the robot cannot come to rest, and stop the robot."""
         self._backend.resume()
-        return self._leader.stop(request, origin)
+        return self._arbiter.stop(request, origin)
 
     def _measure(self) -> Proprioceptor:
         self._sequence += 1
         state = self._backend.measure(self._sequence)
-        state.motor_behavior = self._leader.behavior
+        state.motor_behavior = self._arbiter.behavior
         self._time = state.time
         return state
 
@@ -123,7 +118,7 @@ class CommsManager:
 
 
 def make_backend(context: Context) -> Backend:
-    """The backend of the instance's variant; the other one's libraries are not even imported."""
+    """Backend of the instance's variant; libraries of the other one are not imported."""
     if context.settings.variant == "hardware":
         from valor.comms_manager.hardware.backend import Hardware
 
@@ -144,7 +139,6 @@ class ClockReport:
         self._due = 0.0
 
     def update(self, backend: Backend, commands: Commands, robot_time: int) -> None:
-        """Publish if it is due."""
         now = time.perf_counter()
         if now < self._due:
             return
@@ -159,6 +153,6 @@ class ClockReport:
                 real_time_factor=(robot_time - robot_before) * 1e-9 / elapsed if elapsed > 0 else 0.0,
                 slip=backend.slip,
                 waits_timed_out=commands.waits_timed_out,
-                holding=commands.leader.silent,
+                holding=commands.arbiter.silent,
             )
         )

@@ -1,1 +1,1 @@
-"""The hardware variant's test bench: one MuJoCo plant in real time, an emulator at the far end of each port."""
+"""Emulated devices for hardware-variant tests: one MuJoCo plant in real time and one emulator for each port."""

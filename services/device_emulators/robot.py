@@ -1,9 +1,9 @@
-"""The robot that the emulated devices sit in: the plant, as devices feel and move it."""
+"""Simulated robot of the emulated devices: the plant with commands and measurements for each device."""
 
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -17,28 +17,20 @@ from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
 
 Places = npt.NDArray[np.intp]
-STALENESS = 3  # of the newest command to the drives that carry it, from which on time stands still [control periods]
-PATIENCE = 1.0  # and until when [s on the wall]
-LONGEST = 0.012  # that is made up at once of what a stall of the emulators has cost [s]
+STALENESS = 3  # age of the latest command to supporting drives at which robot time stops [control periods]
+PAUSE_TIMEOUT = 1.0  # longest stop of robot time [s of wall clock]
+MAX_ADVANCE = 0.012  # longest robot time simulated at once after a stall of the emulators [s]
 
 
 class SimulatedRobot:
-    """A plant whose joints are commanded device by device.
+    """Plant with joints commanded by separate devices.
 
-    A robot is switched on hanging from a gantry. Here the world stands still, in the nominal posture, until the drives
-    that carry it are on and hold it; then it is let go, once and for all.
-
-    Attributes:
-        description: robot.yaml.
-        plant: MuJoCo.
-        released: whether the robot has been let go of.
-        time: that has passed for the robot and in its devices' clocks [s].
-        slip: time that has not passed for it, but on the wall [s].
-        commands: how old commands became before the next came.
+    A real robot is switched on while it hangs from a gantry. Here the plant keeps the nominal posture until all drives
+    that support the robot are on; then it is released, permanently.
     """
 
     def __init__(self, description: RobotDescription, settings: Settings) -> None:
-        # Commands are late by what ports and drives take, so the profile's own delay is left out.
+        # Ports and drives delay commands already, so the delay of the profile is omitted.
         profile = structs.replace(description.tables.actuators[settings.actuators], delay=0.0)
         tables = structs.replace(description.tables, actuators={settings.actuators: profile})
         description = RobotDescription(description.folder, tables)
@@ -46,7 +38,7 @@ class SimulatedRobot:
         self.plant = Plant(description, settings.world, settings.actuators, settings.seed)
         self._sensors = Sensors(description, self.plant, profile.noise, settings.seed)
         n = len(description.joints)
-        # Arrays of their own: each device writes its joints' places.
+        # Separate arrays: each device writes the elements of its joints.
         position, velocity, effort, stiffness, damping = (np.zeros(n) for _ in range(5))
         modes = np.zeros(n, dtype=np.uint8)
         self._motor = Motor(0, 0, 0, modes, position, velocity, effort, stiffness, damping, behavior="", writer=0)
@@ -59,30 +51,29 @@ class SimulatedRobot:
         self._carries = np.zeros(n, dtype=bool)
         self._carries[self._carrying] = True
         self._measured: Proprioceptor | None = None
-        # When commands to what carries it came last, in the robot's time and the wall's [s]; before the first, when its
-        # drives were asked for their states.
-        self._heard: tuple[float, float] | None = None
+        # Robot time and wall clock of the latest command to supporting drives [s]; before the first command, of the
+        # latest request for their states.
+        self._received: tuple[float, float] | None = None
         self._is_commanded = False
         self._staleness = STALENESS * description.control_period
-        self.released = not carrying
-        self.time = 0.0
-        self.slip = 0.0
-        self.commands = CommandAges()
-        self._began: float | None = None  # on the wall, when time was 0 or would have been without slip [s]
+        self.released = not carrying  # the plant is simulated
+        self.time = 0.0  # robot time, also shown by the devices' clocks [s]
+        self.slip = 0.0  # robot time lost against the wall clock [s]
+        self._began: float | None = None  # wall clock at robot time 0, shifted by the slip [s]
 
     @property
     def measured(self) -> Proprioceptor:
-        """What perfect devices with the profile's noise would say now; the same until the plant has moved on."""
+        """Measurements with the noise of the profile; constant until the next step."""
         if self._measured is None:
             self._measured = self._sensors.measure(0, round(self.time * 1e9))
-            if not self.released:  # to MuJoCo it falls; who hangs from a gantry feels what holds him
+            if not self.released:  # MuJoCo reports free fall; the gantry's support gives -gravity
                 w, x, y, z = self._measured.imu_orientation.tolist()
                 gx, gy, gz = self.plant.model.mj.opt.gravity.tolist()
                 self._measured.imu_linear_acceleration = np.array(rotate(conjugate((w, x, y, z)), (-gx, -gy, -gz)))
         return self._measured
 
     def power(self, joints: Places, on: bool) -> None:
-        """Switch the drives of joints on or off; off, they are limp."""
+        """Switch the drives of joints on, or off (limp)."""
         self._powered[joints] = on
         if not on:
             self._motor.mode[joints] = JointMode.OFF
@@ -90,38 +81,22 @@ class SimulatedRobot:
         elif not self.released and self._powered[self._carrying].all():
             self.released = True
 
-    def command(
-        self,
-        joints: Places,
-        *,
-        mode: npt.ArrayLike,
-        position: npt.ArrayLike,
-        velocity: npt.ArrayLike,
-        effort: npt.ArrayLike,
-        stiffness: npt.ArrayLike,
-        damping: npt.ArrayLike,
-    ) -> None:
-        """Have the drives of joints obey, from the next step on; fields as in ``Motor``, for those joints."""
-        motor = self._motor
-        motor.mode[joints] = np.where(self._powered[joints], mode, JointMode.OFF)
-        motor.position[joints] = position
-        motor.velocity[joints] = velocity
-        motor.effort[joints] = effort
-        motor.stiffness[joints] = stiffness
-        motor.damping[joints] = damping
+    def command(self, joints: Places, mode: npt.ArrayLike, vectors: Mapping[str, npt.ArrayLike]) -> None:
+        """Command the drives of joints from the next step; ``vectors``: five fields of ``Motor``, for these joints."""
+        self._motor.mode[joints] = np.where(self._powered[joints], mode, JointMode.OFF)
+        for name, value in vectors.items():
+            getattr(self._motor, name)[joints] = value
         self._changed = True
         if self._carries[joints[0]]:
-            if self._is_commanded and self._heard is not None:
-                self.commands.came(self.time - self._heard[0])
-            self._is_commanded, self._heard = True, (self.time, time.monotonic())
+            self._is_commanded, self._received = True, (self.time, time.monotonic())
 
-    def asked(self) -> None:
-        """The drives that carry it were asked for their states: somebody is there who will command them."""
+    def state_requested(self) -> None:
+        """Record a state request to supporting drives: a driver is present, so commands will follow."""
         if self.released and not self._is_commanded:
-            self._heard = self.time, time.monotonic()
+            self._received = self.time, time.monotonic()
 
     def hold(self, joints: Places) -> None:
-        """Have the drives of joints hold them where their encoders say they are, on the joints' own servos."""
+        """Hold joints at their measured positions, in position mode."""
         motor = self._motor
         motor.mode[joints] = np.where(self._powered[joints], JointMode.POSITION, JointMode.OFF)
         motor.position[joints] = self.measured.joint_position[joints]
@@ -130,10 +105,10 @@ class SimulatedRobot:
         self._changed = True
 
     def advance(self, steps: int) -> None:
-        """Let physics steps pass, if the robot has been let go of.
+        """Advance by physics steps; the plant moves only after release.
 
         Raises:
-            SimulationDivergedError: the state is not finite any more.
+            SimulationDivergedError: the state is not finite.
         """
         self.time += steps * self.plant.step_time
         if not self.released:
@@ -145,11 +120,10 @@ class SimulatedRobot:
         self._measured = None
 
     def pass_until(self, now: float) -> None:
-        """Let time pass until now [s on the wall, monotonic], as far as it may: a slow computer is a slow robot.
+        """Advance robot time toward ``now`` [s of wall clock, monotonic]; the rest is added to the slip.
 
-        Time stands still where drives were asked or commanded, and then not for a moment that is no silence yet: a
-        computer that stalls is to slow the world down, not to fell the robot; one that ended leaves it to the drives'
-        watchdogs.
+        Robot time stops while the latest command is older than ``STALENESS``, for up to ``PAUSE_TIMEOUT``. A stalled
+        computer thus slows the robot instead of making it fall; after the timeout, the drives' watchdogs act.
         """
         step = self.plant.step_time
         if self._began is None:
@@ -158,33 +132,12 @@ class SimulatedRobot:
         due = int(behind / step)
         if due <= 0:
             return
-        allowed = min(due, round(LONGEST / step))
-        if self._heard is not None and now - self._heard[1] < PATIENCE:
-            until = self._heard[0] + self._staleness - self.time
+        allowed = min(due, round(MAX_ADVANCE / step))
+        if self._received is not None and now - self._received[1] < PAUSE_TIMEOUT:
+            until = self._received[0] + self._staleness - self.time
             allowed = min(allowed, max(0, round(until / step)))
         if allowed:
             self.advance(allowed)
         lost = (due - allowed) * step
         self._began += lost
         self.slip += lost
-
-
-class CommandAges:
-    """How old commands to the drives that carry the robot became, in its time, before the next ones came."""
-
-    LAST = 1000  # batches
-
-    def __init__(self) -> None:
-        self._ages: deque[float] = deque(maxlen=self.LAST)
-
-    def came(self, age: float) -> None:
-        """A command came, the last one being so old [s]; those of one instant are one batch."""
-        if age > 0.0:
-            self._ages.append(age)
-
-    def describe(self) -> str:
-        """Mean, 99 % and longest of the last."""
-        if not self._ages:
-            return "no commands yet"
-        mean, high, longest = np.mean(self._ages), np.percentile(self._ages, 99), max(self._ages)
-        return f"commands {1e3 * mean:.1f} ms apart (99 %: {1e3 * high:.0f} ms, longest {1e3 * longest:.0f} ms)"

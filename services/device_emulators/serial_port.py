@@ -1,4 +1,4 @@
-"""The device's end of a serial line: a pseudo-terminal that can be unplugged."""
+"""Device side of a serial line: a pseudo-terminal that can be unplugged."""
 
 from __future__ import annotations
 
@@ -8,43 +8,33 @@ import select
 import tty
 from pathlib import Path
 
-from valor.device_emulators.emulator import FaultSwitches
-from valor.device_emulators.faulty_line import FaultyLine
-
 _READ = 4096
 
 
 class SerialPort:
-    """A pseudo-terminal whose other end is found by a symbolic link, as a USB adapter is under /dev/serial/by-id.
-
-    Attributes:
-        link: the path that a driver opens.
-        lost: bytes that nobody fetched in time.
-    """
+    """Pseudo-terminal. A symbolic link names the driver's end, as /dev/serial/by-id does for a USB adapter."""
 
     def __init__(self, link: Path) -> None:
+        """``link``: path that the driver opens."""
         self.link = link
-        self.lost = 0
         self._device: int | None = None
         self._driver_end: int | None = None
-        # Readable when the port is; it stays the same while ports come and go.
+        # Readable when the port is readable; its descriptor stays the same across plug and unplug.
         self._readable = select.epoll()
         self.plug()
 
     def fileno(self) -> int:
-        """A descriptor that is readable when something has come, plugged or not."""
         return self._readable.fileno()
 
     @property
     def plugged(self) -> bool:
-        """Whether a driver can find the port."""
         return self._device is not None
 
     def plug(self) -> None:
-        """Make the port and its link, unless they are there."""
+        """Create the port and its link, unless they exist."""
         if self._device is not None:
             return
-        # The driver's end stays open here too: a driver that closes it does not hang the line up.
+        # The driver's end also stays open here, so that a driver that closes it does not hang up the line.
         self._device, self._driver_end = os.openpty()
         tty.setraw(self._driver_end)
         os.set_blocking(self._device, False)
@@ -54,7 +44,7 @@ class SerialPort:
         self.link.symlink_to(os.ttyname(self._driver_end))
 
     def unplug(self) -> None:
-        """Take the port away; whoever has it open sees the line hung up."""
+        """Remove the port; a driver that has it open sees a hang-up."""
         if self._device is None or self._driver_end is None:
             return
         self.link.unlink(missing_ok=True)
@@ -64,8 +54,8 @@ class SerialPort:
         self._device = self._driver_end = None
 
     def read(self) -> bytes:
-        """What has come from the driver; does not wait."""
-        # Nothing is asked of the terminal that has nothing: the kernel would look after what is under way, and wait.
+        """Received bytes of the driver, without waiting."""
+        # Reading an empty terminal would make the kernel wait for pending transfers.
         if self._device is None or not self._readable.poll(0):
             return b""
         try:
@@ -74,23 +64,15 @@ class SerialPort:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Send to the driver; what does not fit into the line's buffer is lost, as on a wire."""
+        """Send to the driver; bytes that do not fit into the buffer are lost."""
         if self._device is None or self._driver_end is None:
             return
-        sent = 0
         with contextlib.suppress(BlockingIOError, OSError):
-            sent = os.write(self._device, data)
-            # A worker of the kernel's hands the bytes over, at low priority, and looking at the other end waits for it:
-            # a busy computer is to slow the robot down, not what its sensors say.
+            os.write(self._device, data)
+            # A low-priority kernel worker transfers the bytes; polling the driver's end waits for it, so that sensor
+            # data is not delayed on a busy computer.
             select.select((self._driver_end,), (), (), 0.0)
-        self.lost += len(data) - sent
 
     def close(self) -> None:
-        """Give the port back."""
         self.unplug()
         self._readable.close()
-
-
-def line(port: SerialPort, faults: FaultSwitches) -> FaultyLine[bytes]:
-    """A line on which packets of a device's units go to its driver."""
-    return FaultyLine(port.write, faults, lambda packet: packet, lambda _, data: data)

@@ -1,4 +1,4 @@
-"""A sensor at the far end of its serial port, whatever it says on it."""
+"""Emulator of a sensor on a serial port, independent of its protocol."""
 
 from __future__ import annotations
 
@@ -7,33 +7,54 @@ from typing import Protocol
 
 from valor.common.instance import Instance, Settings
 from valor.common.messages import Proprioceptor
-from valor.device_emulators.emulator import EmulatedFault, Emulator, FaultSwitches
+from valor.device_emulators.emulator import ALL_FAULTS, EmulatedFault, Emulator, FaultyLine
 from valor.device_emulators.robot import SimulatedRobot
-from valor.device_emulators.serial_port import SerialPort, line
+from valor.device_emulators.serial_port import SerialPort
 from valor.devices.ports import serial_port
 
-KINDS = frozenset(EmulatedFault) - {EmulatedFault.ENCODER_JUMP, EmulatedFault.UNDER_VOLTAGE}
-"""Of faults that a sensor can have that says how warm it is."""
+# Faults of a sensor that reports its temperature.
+KINDS = ALL_FAULTS - {EmulatedFault.ENCODER_JUMP, EmulatedFault.UNDER_VOLTAGE}
+
+
+class Timer:
+    """Due times of periodic messages."""
+
+    def __init__(self, period: float = 1.0) -> None:
+        self.period = period  # [s]
+        self._due: float | None = None  # [s]
+
+    def restart(self) -> None:
+        """Make the next message due at once."""
+        self._due = None
+
+    def is_due(self, now: float) -> bool:
+        return self._due is None or now + 1e-9 >= self._due
+
+    def advance(self, now: float) -> int:
+        """Set the next due time; returns the number of messages that were due."""
+        count = 1 if self._due is None else 1 + int((now + 1e-9 - self._due) / self.period)
+        self._due = (now if self._due is None else self._due) + count * self.period
+        return count
 
 
 class Sensor(Protocol):
-    """What a sensor makes of the bytes that it is sent, and the messages that it streams."""
+    """Protocol of a sensor: responses to received bytes, and streamed messages."""
 
     def receive(self, data: bytes) -> list[bytes]:
-        """Take bytes of the driver; returns the answers."""
+        """Process bytes of the driver; returns the responses."""
 
     def is_due(self, now: float) -> bool:
-        """Whether ``stream`` would give anything at ``now`` [s]."""
+        """Return whether a message is due at ``now`` [s]."""
 
-    def feel(self, measured: Proprioceptor, hot: bool) -> None:
-        """What the robot's sensors say is what it feels; and whether it is too hot."""
+    def measure(self, measured: Proprioceptor, hot: bool) -> None:
+        """Store the robot's measurements; ``hot``: overheated."""
 
     def stream(self, now: float) -> list[bytes]:
-        """The messages that are due at ``now`` [s]."""
+        """Messages due at ``now`` [s]."""
 
 
 class SerialSensorEmulator(Emulator):
-    """One sensor; unplugged, its port is gone, and it forgets what it was told."""
+    """One sensor. Unplugged, it has no port and loses its settings."""
 
     def __init__(
         self,
@@ -43,22 +64,19 @@ class SerialSensorEmulator(Emulator):
         new: Callable[[], Sensor],
         kinds: frozenset[EmulatedFault] = KINDS,
     ) -> None:
-        """``new``: makes a sensor that was just switched on; ``kinds``: of faults that it can have."""
-        super().__init__(name, FaultSwitches((name,), kinds))
+        """``new``: returns a sensor after power-on; ``kinds``: faults that can be injected."""
+        super().__init__(name, {name: kinds})
         self._port = SerialPort(serial_port(instance, settings, name))
-        self._line = line(self._port, self.faults)
+        self._line = FaultyLine(self._port.write, self.faults)
         self._new, self._sensor = new, new()
 
     def files(self) -> tuple[int, ...]:
-        """The port."""
         return (self._port.fileno(),)
 
     def close(self) -> None:
-        """Give the port back."""
         self._port.close()
 
     def step(self, now: float, robot: SimulatedRobot) -> None:
-        """Answer commands, and stream what is due."""
         if self.faults.active(self.name, EmulatedFault.UNPLUGGED, now):
             self._port.unplug()
             return
@@ -69,7 +87,7 @@ class SerialSensorEmulator(Emulator):
             self._line.send(self.name, reply, now)
         if self._sensor.is_due(now):
             hot = self.faults.active(self.name, EmulatedFault.OVER_TEMPERATURE, now)
-            self._sensor.feel(robot.measured, hot)
+            self._sensor.measure(robot.measured, hot)
             for message in self._sensor.stream(now):
                 self._line.send(self.name, message, now)
         self._line.flush(now)

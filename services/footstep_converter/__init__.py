@@ -1,1 +1,1 @@
-"""The Footstep Converter: ViGIR's footstep plans, checked and passed to the Motion Manager (thesis 4.1.2)."""
+"""Footstep Converter: checks ViGIR's footstep plans and sends them to the Motion Manager (thesis 4.1.2)."""

@@ -1,207 +1,253 @@
-"""Who asks for plans over ROS: clients of the action ExecuteStepPlan, and tools that publish a StepPlan.
+"""Clients that request plans over ROS (action ExecuteStepPlan, topic StepPlan), and frames of plans.
 
-Both get the same: feedback while the plan runs, and its end. The feedback of every plan is published on a topic too,
-where tools that publish, and anybody who watches, find it.
+Both kinds of clients receive feedback and the outcome; the feedback of every plan is also published on a topic.
 """
 
 from __future__ import annotations
 
 import logging
+import time
+from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse
+from builtin_interfaces.msg import Time
+from rclpy.action import CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.task import Future
+from rclpy.serialization import deserialize_message
 from rclpy.timer import Timer
+from tf2_msgs.msg import TFMessage
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
-from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus, StepPlan
+from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus, Step, StepPlan
 
-from valor.common.floods import TopicFloods
-from valor.footstep_converter.execution import End, Execution, Outcome, aborted
-from valor.footstep_converter.feedback import FeedbackMaker, final_state, warn
+from valor.common.input_checks import TopicFloods
+from valor.common.poses import Pose
+from valor.common.transforms import TransformBuffer
+from valor.footstep_converter.execution import End, Execution, PlanOutcome, aborted
 from valor.footstep_converter.plan import PlannedStep
-from valor.ros.lateness import GoalAges, timely
+from valor.ros.deferred_action_server import DeferredActionServer
+from valor.ros.lateness import reject_late
+from valor.ros.node import STEADY, ProcessNode
 
 NAMESPACE = "robot_controllers/footstep_controller"
 EXECUTE = f"{NAMESPACE}/execute_step_plan"  # the action, and the topic
 FEEDBACK = f"{NAMESPACE}/execute_feedback"
-RESULT_DELAY = 0.1  # behind the last feedback: a client that has the result takes no more feedback [s]
-WORDS = 50  # of feedback kept for watchers: five seconds, in which a lost one is sent again before it is overwritten
+RESULT_DELAY = 0.1  # from the last feedback to the result, after which a client ignores feedback [s]
+FEEDBACK_QUEUE = 50  # latched feedback messages, 5 s: longer than a retransmission takes
 
 FEEDBACK_MESSAGE = ExecuteStepPlan.Impl.FeedbackMessage
-"""Feedback with its goal: of an action's types the one that ``ros2 topic`` can import by its name."""
-_log = logging.getLogger("footstep_converter")
-_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
-
-Report = Callable[[ExecuteStepPlan.Feedback], None]
+"""Feedback with its goal: of the action's types, the one that ``ros2 topic`` imports by name."""
+_STATES = {End.SUCCEEDED: "succeed", End.ABORTED: "abort", End.CANCELED: "canceled"}
+_C, _F = ExecuteStepPlan.Feedback, FootstepExecutionStatus
 
 
-class Goal:
-    """A plan asked for, and the way to say how it went. As it is, of the topic: nobody waits for a result.
+class PlanGoal:
+    """Requested plan, and reports to its client."""
 
-    Attributes:
-        plan: asked for.
-        warning: that its feedback carries; empty: none.
-        ended: the client has been told the outcome.
-    """
+    def __init__(self, clients: Clients, plan: StepPlan, handle: ServerGoalHandle | None = None) -> None:
+        """``handle``: of the action's goal; None: of the topic, whose clients receive no result."""
+        self.plan = plan  # requested
+        self.cancel_requested = False  # by the client
+        self.ended = False  # the outcome was reported
+        self._clients, self._handle = clients, handle
+        self._plan: list[PlannedStep] = []  # whose messages are the steps
+        self._steps: list[Step] = []
 
-    def __init__(self, plan: StepPlan, report: Report, maker: FeedbackMaker) -> None:
-        self.plan = plan
-        self.warning = ""
-        self.ended = False
-        self._report = report
-        self._maker = maker
+    def report_waiting(self, steps: Sequence[PlannedStep]) -> None:
+        """Report that these steps are being sent: none has started, all can be changed."""
+        feedback, first = self._feedback(None), steps[0].index
+        feedback.queue_size = len(steps)
+        feedback.first_queued_step_index, feedback.last_queued_step_index = first, steps[-1].index
+        feedback.last_performed_step_index = feedback.currently_executing_step_index = first - 1
+        feedback.first_changeable_step_index = first
+        self._clients.publish(feedback, self._handle)
 
-    @property
-    def cancel_requested(self) -> bool:
-        """Whether the client no longer wants it."""
-        return False
+    def report_progress(self, execution: Execution | None) -> None:
+        """Report the progress; None: unknown."""
+        self._clients.publish(self._feedback(execution), self._handle)
 
-    def waits(self, steps: Sequence[PlannedStep]) -> None:
-        """Tell the client that these steps are being handed over."""
-        self._report(warn(self._maker.waiting(steps), self.warning))
+    def end(self, outcome: PlanOutcome, execution: Execution | None = None) -> None:
+        """Report the outcome, once. The last feedback has the text, for which the result has no field."""
+        if self.ended:
+            return
+        self.ended = True
+        feedback = self._feedback(execution)
+        feedback.controller_state, feedback.stepping_status = _final_state(outcome), outcome.status
+        feedback.status.error, feedback.status.error_msg = outcome.error, outcome.text
+        self._clients.publish(feedback, self._handle)
+        if self._handle is not None:
+            self._clients.finish(self._handle, outcome)
 
-    def progress(self, execution: Execution | None) -> None:
-        """Tell the client where the plan is; None: nothing is known of it."""
-        self._report(warn(self._maker.progress(execution), self.warning))
-
-    def end(self, outcome: Outcome, execution: Execution | None = None) -> None:
-        """Tell the client how it ended; once."""
-        if not self.ended:
-            self.ended = True
-            self._report(warn(self._maker.end(outcome, execution), self.warning))
-            self._settle(outcome)
-
-    def _settle(self, outcome: Outcome) -> None:
-        """The client has heard the last feedback."""
-
-
-class ActionGoal(Goal):
-    """A goal of the action. Its result comes a little behind the last feedback."""
-
-    def __init__(
-        self,
-        handle: ServerGoalHandle,
-        executor: Any,
-        node: Node,
-        report: Callable[[ExecuteStepPlan.Feedback, Any], None],
-        maker: FeedbackMaker,
-    ) -> None:
-        def tell(feedback: ExecuteStepPlan.Feedback) -> None:
-            handle.publish_feedback(feedback)
-            report(feedback, handle.goal_id)
-
-        super().__init__(handle.request.step_plan, tell, maker)
-        self._handle = handle
-        self._node = node
-        self._outcome = Future(executor=executor)
-
-    @property
-    def cancel_requested(self) -> bool:
-        """Whether the client no longer wants it."""
-        return bool(self._handle.is_cancel_requested)
-
-    def _settle(self, outcome: Outcome) -> None:
-        def settle() -> None:
-            self._node.destroy_timer(timer)
-            self._outcome.set_result(outcome)
-
-        timer: Timer = self._node.create_timer(RESULT_DELAY, settle, clock=_STEADY)
-
-    async def result(self) -> ExecuteStepPlan.Result:
-        """Wait for the end; then the goal's terminal state is set and its result returned."""
-        outcome: Outcome = await self._outcome
-        if outcome.end is End.SUCCEEDED:
-            self._handle.succeed()
-        elif outcome.end is End.CANCELED and self._handle.is_cancel_requested:
-            self._handle.canceled()
-        else:
-            self._handle.abort()
-        result = ExecuteStepPlan.Result()
-        result.status.header.frame_id = self._maker.frame
-        result.status.status = outcome.status
-        result.controller_state = final_state(outcome)
-        return result
+    def _feedback(self, execution: Execution | None) -> ExecuteStepPlan.Feedback:
+        """Progress of a plan; None: unknown, or no plan is followed."""
+        feedback = ExecuteStepPlan.Feedback()
+        feedback.header.frame_id = feedback.feedback.header.frame_id = self._clients.frame
+        feedback.first_queued_step_index = feedback.last_queued_step_index = -1
+        feedback.last_performed_step_index = feedback.currently_executing_step_index = -1
+        feedback.first_changeable_step_index = -1
+        time = self._clients.now() if execution is None else execution.progress.time
+        feedback.header.stamp = feedback.feedback.header.stamp = Time(sec=time // 10**9, nanosec=time % 10**9)
+        if execution is None:
+            feedback.controller_state, feedback.stepping_status = int(_C.READY), int(_F.WAITING_FOR_ATLAS)
+            return feedback
+        progress = execution.progress
+        feedback.controller_state, feedback.stepping_status = int(_C.ACTIVE), int(_F.EXECUTING_STEP_PLAN)
+        feedback.queue_size = progress.queue_size
+        if progress.queue_size > 0:
+            feedback.first_queued_step_index = execution.last_index - progress.queue_size + 1
+            feedback.last_queued_step_index = execution.last_index
+        feedback.last_performed_step_index = progress.performed
+        feedback.currently_executing_step_index = progress.executing
+        feedback.first_changeable_step_index = progress.changeable
+        if execution.plan is not self._plan:
+            self._plan, self._steps = execution.plan, [_message(step, self._clients.frame) for step in execution.plan]
+        feedback.feedback.steps = self._steps
+        return feedback
 
 
 class Clients:
-    """Serves the action and the topic. ``begin`` is given each new goal, ``stop`` each that its client cancels.
-
-    Attributes:
-        floods: of the topic.
-    """
+    """Serves the action and the topic."""
 
     def __init__(
         self,
-        node: Node,
-        executor: Any,
-        begin: Callable[[Goal], None],
-        stop: Callable[[Goal], None],
+        node: ProcessNode,
+        begin: Callable[[PlanGoal], None],
+        stop: Callable[[PlanGoal], None],
         *,
         now: Callable[[], int],
         frame: str,
-        others: bool = False,
     ) -> None:
-        """``now``: gives robot time [ns]; ``frame``: odom, as tf names it; ``others``: computers that may command."""
-        self._node = node
-        self._executor = executor
-        self._begin = begin
-        self._stop = stop
-        self._maker = FeedbackMaker(now, frame)
-        self._goals: dict[bytes, ActionGoal] = {}
-        latched = QoSProfile(depth=WORDS, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        """Open the interfaces; ``begin`` is called with each new goal, ``stop`` with each that its client cancels.
+
+        ``now``: returns robot time [ns]; ``frame``: tf frame odom.
+        """
+        self._node, self._begin, self._stop = node, begin, stop
+        self.now, self.frame = now, frame
+        self._goals: dict[bytes, PlanGoal] = {}
+        latched = QoSProfile(depth=FEEDBACK_QUEUE, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._feedback = node.create_publisher(FEEDBACK_MESSAGE, FEEDBACK, latched)
         self.floods = TopicFloods(lambda topic: (one.node_name for one in node.get_publishers_info_by_topic(topic)))
         topic = node.resolve_topic_name(EXECUTE)
-        published = self.floods.counted(topic, self._published)
-        node.create_subscription(StepPlan, EXECUTE, timely(topic, published, others=others), 10)
-        self._ages = GoalAges(node, ExecuteStepPlan, EXECUTE) if others else None
-        # Every goal is accepted and then refused with a result: ROS has no words for a rejected goal.
-        self._server = ActionServer(node, ExecuteStepPlan, EXECUTE, self._execute, cancel_callback=self._cancel)
+        published = self.floods.counted(topic, lambda plan: begin(PlanGoal(self, plan)))
+        node.create_subscription(StepPlan, EXECUTE, reject_late(topic, published, others=node.others), 10)
+        late = self._late if node.others else None
+        self._server = DeferredActionServer(
+            node, ExecuteStepPlan, EXECUTE, lambda handle: begin(self._open(handle)), self._cancel, on_late=late
+        )
 
-    def _published(self, plan: StepPlan) -> None:
-        self._begin(Goal(plan, self._tell, self._maker))
-
-    def _tell(self, feedback: ExecuteStepPlan.Feedback, goal_id: Any = None) -> None:
-        """Whoever watches; of a plan that was published there is no goal."""
+    def publish(self, feedback: ExecuteStepPlan.Feedback, handle: ServerGoalHandle | None) -> None:
+        """Publish feedback; plans of the topic have no goal id."""
         message = FEEDBACK_MESSAGE(feedback=feedback)
-        if goal_id is not None:
-            message.goal_id = goal_id
+        if handle is not None:
+            handle.publish_feedback(feedback)
+            message.goal_id = handle.goal_id
         self._feedback.publish(message)
 
-    async def _execute(self, handle: ServerGoalHandle) -> ExecuteStepPlan.Result:
-        goal = ActionGoal(handle, self._executor, self._node, self._tell, self._maker)
-        key = bytes(handle.goal_id.uuid)
-        self._goals[key] = goal
-        try:
-            if self._ages is not None and (why := self._ages.late(handle)):
-                _log.warning("plan refused: %s", why)
-                goal.end(aborted(FootstepExecutionStatus.ERR_UNKNOWN, why))
-            else:
-                self._begin(goal)
-            return await goal.result()
-        finally:
-            del self._goals[key]
+    def finish(self, handle: ServerGoalHandle, outcome: PlanOutcome) -> None:
+        """Send the result after ``RESULT_DELAY``."""
+        result = ExecuteStepPlan.Result(controller_state=_final_state(outcome))
+        result.status.header.frame_id = self.frame
+        result.status.status = outcome.status
+
+        def send() -> None:
+            self._node.destroy_timer(timer)
+            del self._goals[bytes(handle.goal_id.uuid)]
+            self._server.finish(handle, _STATES[outcome.end], result)
+
+        timer: Timer = self._node.create_timer(RESULT_DELAY, send, clock=STEADY)
+
+    def _open(self, handle: ServerGoalHandle) -> PlanGoal:
+        goal = self._goals[bytes(handle.goal_id.uuid)] = PlanGoal(self, handle.request.step_plan, handle)
+        return goal
+
+    def _late(self, handle: ServerGoalHandle, reason: str) -> None:
+        self._open(handle).end(aborted(_F.ERR_UNKNOWN, reason))
 
     def _cancel(self, handle: ServerGoalHandle) -> CancelResponse:
         goal = self._goals.get(bytes(handle.goal_id.uuid))
-        if goal is not None and goal.ended:
+        if goal is None or goal.ended:
             return CancelResponse.REJECT
-        if goal is not None:
-            self._stop(goal)
-        return CancelResponse.ACCEPT  # without a goal: it has not begun, and will not
+        goal.cancel_requested = True
+        self._stop(goal)
+        return CancelResponse.ACCEPT
 
     @property
-    def open_goals(self) -> list[ActionGoal]:
+    def open_goals(self) -> list[PlanGoal]:
         """Goals whose clients wait for a result."""
         return list(self._goals.values())
 
     def close(self) -> None:
-        """No goals any more."""
         self._server.destroy()
-        if self._ages is not None:
-            self._ages.destroy()
+
+
+def _final_state(outcome: PlanOutcome) -> int:
+    """State of the result: FINISHED or FAILED."""
+    return int(_C.FINISHED if outcome.end is End.SUCCEEDED else _C.FAILED)
+
+
+def _message(planned: PlannedStep, frame: str) -> Step:
+    step = Step(step_index=planned.index, valid=True)
+    step.header.frame_id = step.foot.header.frame_id = frame
+    step.foot.foot_index = planned.foot
+    p, q = step.foot.pose.position, step.foot.pose.orientation
+    p.x, p.y, p.z = planned.sole.position
+    q.w, q.x, q.y, q.z = planned.sole.orientation
+    step.swing_height = planned.swing_height
+    step.step_duration, step.sway_duration = planned.swing_duration, planned.transfer_duration
+    return step
+
+
+ODOM = "odom"
+
+HISTORY = 10.0  # of transforms, as in tf2 [s]
+MAX_UNREAD = 5000  # stored messages
+
+_log = logging.getLogger("footstep_converter")
+
+
+class Frames:
+    """Received transforms, stored as bytes and deserialized when a plan outside odom arrives."""
+
+    def __init__(self, node: Node, prefix: str) -> None:
+        """``prefix``: of the robot's frames."""
+        self._odom = prefix + ODOM
+        self._buffer = TransformBuffer(HISTORY)
+        self._unread: deque[tuple[float, bytes]] = deque(maxlen=MAX_UNREAD)
+        latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        node.create_subscription(TFMessage, "/tf", self._store, 100, raw=True)
+        node.create_subscription(TFMessage, "/tf_static", lambda message: self._add(message, static=True), latched)
+
+    def in_odom(self, frame: str, stamp: int) -> Pose | None:
+        """Pose of a frame in odom at a time [ns]; 0: latest. None: the frame is odom.
+
+        Raises:
+            TooNewError: not yet received for that time.
+            TransformError: unknown.
+        """
+        if frame.lstrip("/") == self._odom:
+            return None
+        while self._unread:
+            _, data = self._unread.popleft()
+            self._add(deserialize_message(data, TFMessage), static=False)
+        return self._buffer.lookup(self._odom, frame, stamp)
+
+    def _store(self, data: bytes) -> None:
+        now = time.monotonic()
+        self._unread.append((now, data))
+        while now - self._unread[0][0] > HISTORY:
+            self._unread.popleft()
+
+    def _add(self, message: TFMessage, *, static: bool) -> None:
+        for each in message.transforms:
+            t, r, stamp = each.transform.translation, each.transform.rotation, each.header.stamp
+            try:
+                self._buffer.add(
+                    each.header.frame_id,
+                    each.child_frame_id,
+                    stamp.sec * 10**9 + stamp.nanosec,
+                    Pose((t.x, t.y, t.z), (r.w, r.x, r.y, r.z)),
+                    static=static,
+                )
+            except ValueError as error:
+                _log.warning("tf: %s", error)

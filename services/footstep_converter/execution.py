@@ -1,7 +1,6 @@
-"""One plan from the moment it is handed to the Motion Manager until its end, and how it ended.
+"""Execution of one plan, from acceptance by the Motion Manager to the outcome. Without ROS and sockets.
 
-Nothing here knows ROS or sockets: what is heard goes in with the time [s] at which it was heard, the outcome comes out.
-How long the robot may take for something is counted in its own time, which goes by slowly in a slow simulation.
+Reports go in with the time [s] of their receipt. Timeouts of the robot are in robot time, slow in a slow simulation.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ from valor.common.behaviors import FALLEN, STANDING, STEPPING, STOPPED
 from valor.common.messages import StepStatus
 from valor.footstep_converter.plan import PlannedStep, RunningPlan
 
-SILENCE = 4.0  # without a word of the Motion Manager, it is lost [s]
-START = 2.0  # from acceptance to the first word of steps being taken [robot time, s]
-SETTLE = 1.0  # in Stand, from the last word of steps being taken to the last word about the plan [robot time, s]
-STOP = 20.0  # from a stop request to the end: the swing foot comes down and the robot settles [robot time, s]
+SILENCE = 4.0  # timeout without messages of the Motion Manager [s]
+START = 2.0  # from acceptance to the first report of stepping [robot time, s]
+SETTLE = 1.0  # in Stand, from the last report of stepping to the plan's end [robot time, s]
+STOP = 20.0  # from a stop request to the end: swing foot down, robot at rest [robot time, s]
 
 _F = FootstepExecutionStatus
 _PREMATURE = _F.PREMATURE_HALT
-# What it means for a plan that the robot is in a behavior that is neither Step nor Stand.
+# Flags for a behavior other than Step or Stand.
 _LEFT_FOR: Mapping[str, int] = {
     **dict.fromkeys(FALLEN, _F.ERR_FALLEN | _F.EMERGENCY_HALT),
     **dict.fromkeys(STOPPED, _F.EMERGENCY_HALT),
@@ -32,7 +31,7 @@ _WRONG_BEHAVIOR = _F.ERR_INVALID_BEHAVIOR_MODE | _PREMATURE
 
 
 class End(Enum):
-    """The terminal state of the action's goal."""
+    """Terminal state of the action's goal."""
 
     SUCCEEDED = "succeeded"
     ABORTED = "aborted"
@@ -40,23 +39,23 @@ class End(Enum):
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """How a plan ended."""
+class PlanOutcome:
+    """Outcome of a plan."""
 
     end: End
     status: int  # flags of FootstepExecutionStatus
     error: int  # flags of ErrorStatus
     text: str
-    unconfirmed: bool = False  # ended without the Motion Manager's word: the robot may still step
+    unconfirmed: bool = False  # not confirmed by the Motion Manager: the robot may still step
 
 
-def aborted(status: int, text: str, error: int = ErrorStatus.ERR_UNKNOWN) -> Outcome:
-    """A plan that did not reach its goal, and why."""
-    return Outcome(End.ABORTED, status, error, text)
+def aborted(status: int, text: str, error: int = ErrorStatus.ERR_UNKNOWN) -> PlanOutcome:
+    """Outcome of a plan that did not reach its goal."""
+    return PlanOutcome(End.ABORTED, status, error, text)
 
 
-def refusal(behavior: str, reason: str) -> Outcome:
-    """What the Motion Manager's refusal means: its own words, and the flag for the behavior it is in."""
+def rejected(behavior: str, reason: str) -> PlanOutcome:
+    """Outcome of the Motion Manager's rejection: its reason, and the flag for its behavior."""
     if behavior in STEPPING:
         return aborted(_F.ERR_CONTROLLER_NOT_READY, reason, ErrorStatus.ERR_NO_SOLUTION)
     halt = _LEFT_FOR.get(behavior, 0) & _F.ERR_FALLEN
@@ -65,13 +64,13 @@ def refusal(behavior: str, reason: str) -> Outcome:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a plan is. While it runs no index goes back, and performed ≤ executing < changeable."""
+    """Progress of a plan. While it runs no index decreases, and performed ≤ executing < changeable."""
 
     time: int  # robot time [ns]
     queue_size: int
-    performed: int  # index of the last step done; before the first: one less than the plan's first
-    executing: int  # of the step being taken; of the last one done, between the last step and rest
-    changeable: int  # of the first step that can still be changed, at most one behind the last
+    performed: int  # last step done; before the first: one less than the plan's first
+    executing: int  # current step; between the last step and rest: the last one
+    changeable: int  # first step that can still be changed, at most one after the last
 
     @property
     def indices(self) -> tuple[int, int, int]:
@@ -80,62 +79,52 @@ class Progress:
 
 
 class Execution:
-    """Follows a plan that the Motion Manager accepted.
-
-    Attributes:
-        plan: the steps as accepted, updates included.
-        status: the Motion Manager's last word about this plan, None before the first.
-        progress: what is known of where the plan is.
-        outcome: how it ended, None while it runs.
-    """
+    """Progress of a plan that the Motion Manager accepted."""
 
     def __init__(self, plan: Sequence[PlannedStep], now: float) -> None:
-        self.plan = list(plan)
-        self.status: StepStatus | None = None
+        self.plan = list(plan)  # accepted steps, including updates
+        self.status: StepStatus | None = None  # the Motion Manager's last one of this plan; None before the first
         first = self.plan[0].index
-        self.progress = Progress(0, len(self.plan), first - 1, first - 1, first)
-        self.outcome: Outcome | None = None
-        self._heard = now
-        self._heard_since: int | None = None  # robot time heard first [ns]
-        self._stepped = 0  # robot time at which the Motion Manager is known to have stepped last [ns]; 0: not yet
-        self._time = 0  # robot time heard last [ns]
-        self._stood_since: int | None = None  # in Stand, having stepped, since the last word of steps being taken
-        self._recalled = False  # steps were still being taken in Stand: somebody has changed the behavior
-        self._stop_asked: float | None = None
-        self._stop_since: int | None = None  # robot time heard first after that [ns]
+        self.progress = Progress(0, len(self.plan), first - 1, first - 1, first)  # as reported
+        self.outcome: PlanOutcome | None = None  # None while the plan runs
+        self._received = now
+        self._first_time: int | None = None  # first robot time received [ns]
+        self._stepped = 0  # last robot time known to be in Step [ns]; 0: not yet
+        self._time = 0  # latest robot time received [ns]
+        self._stood_since: int | None = None  # in Stand after stepping, since the last report of stepping
+        self._recalled = False  # stepping was reported in Stand: another client changed the behavior
+        self._stop_requested: float | None = None
+        self._stop_since: int | None = None  # first robot time received after that [ns]
         self._behavior = self._reason = ""
 
     @property
     def last_index(self) -> int:
-        """Index of the plan's last step."""
         return self.plan[-1].index
 
     @property
     def stopping(self) -> bool:
-        """Whether it has been told to stop."""
-        return self._stop_asked is not None
+        return self._stop_requested is not None
 
     @property
     def running_plan(self) -> RunningPlan:
-        """What an update may change."""
+        """Plan that an update may change."""
         changeable = self.status.first_changeable_step_index if self.status else self.plan[0].index
         return RunningPlan(self.plan, changeable)
 
     def update(self, plan: Sequence[PlannedStep]) -> None:
-        """The Motion Manager accepted other steps from ``plan[0]`` on."""
+        """Replace the steps from ``plan[0]`` on, after acceptance by the Motion Manager."""
         self.plan = self.running_plan.updated(plan)
 
-    def stop_asked(self, now: float) -> None:
-        """The Motion Manager is being told to stop."""
-        self._stop_asked = self._stop_asked or now
+    def request_stop(self, now: float) -> None:
+        self._stop_requested = self._stop_requested or now
 
-    def stop_refused(self) -> None:
-        """The Motion Manager goes on."""
-        self._stop_asked = self._stop_since = None
+    def reject_stop(self) -> None:
+        """Process the Motion Manager's rejection of the stop."""
+        self._stop_requested = self._stop_since = None
 
-    def heard_status(self, status: StepStatus, now: float) -> None:
-        """A StepStatus. Before this plan executes, it may still be about the one before it."""
-        self._hear(now, status.time)
+    def add_status(self, status: StepStatus, now: float) -> None:
+        """Process a StepStatus; the first ones may be of the previous plan."""
+        self._receive(now, status.time)
         if self.outcome is not None:
             return
         if status.state == "executing":
@@ -147,11 +136,11 @@ class Execution:
             self._advance(status)
             self._ended(status)
 
-    def _hear(self, now: float, time: int) -> None:
-        self._heard, self._time = now, max(self._time, time)
-        if self._heard_since is None:
-            self._heard_since = self._time
-        if self._stop_asked is not None and self._stop_since is None:
+    def _receive(self, now: float, time: int) -> None:
+        self._received, self._time = now, max(self._time, time)
+        if self._first_time is None:
+            self._first_time = self._time
+        if self._stop_requested is not None and self._stop_since is None:
             self._stop_since = self._time
 
     def _advance(self, status: StepStatus) -> None:
@@ -163,53 +152,51 @@ class Execution:
         self.progress = Progress(status.time, status.queue_size, performed, executing, changeable)
 
     def _ended(self, status: StepStatus) -> None:
-        # A plan that was told to end has a reason, however many steps it took.
+        # A plan that ended early has a reason, regardless of its last step.
         if status.state == "finished" and not status.reason and status.last_performed_step_index == self.last_index:
-            self.outcome = Outcome(End.SUCCEEDED, _F.REACHED_GOAL, ErrorStatus.NO_ERROR, "")
+            self.outcome = PlanOutcome(End.SUCCEEDED, _F.REACHED_GOAL, ErrorStatus.NO_ERROR, "")
             return
         done, last = status.last_performed_step_index, self.last_index
         text = f"the Motion Manager reports {status.state!r} after step {done} of {last}"
         if status.reason:
             text += f": {status.reason}"
-        if self._stop_asked is not None:
-            self.outcome = Outcome(End.CANCELED, _PREMATURE, ErrorStatus.NO_ERROR, text)
+        if self._stop_requested is not None:
+            self.outcome = PlanOutcome(End.CANCELED, _PREMATURE, ErrorStatus.NO_ERROR, text)
         elif self._recalled:
             self.outcome = aborted(_WRONG_BEHAVIOR, text)
         else:
             self.outcome = aborted(_LEFT_FOR.get(self._behavior, _F.ERR_UNKNOWN | _PREMATURE), text)
 
-    def heard_behavior(self, behavior: str, reason: str, now: float, time: int) -> None:
-        """The behavior that the Motion Manager is in at robot time ``time`` [ns], and why it went there."""
-        self._hear(now, time)
+    def add_behavior(self, behavior: str, reason: str, now: float, time: int) -> None:
+        """Process the Motion Manager's behavior at robot time ``time`` [ns], and the reason of its last change."""
+        self._receive(now, time)
         self._behavior, self._reason = behavior, reason
         if self.outcome is not None:
             return
         if behavior in STEPPING:
             self._stepped, self._stood_since = max(self._stepped, time), None
         elif behavior in STANDING:
-            # Between two looks Step may have come and gone; what was said of Stand before it is old.
+            # Step may have started and ended between two reports; an older report of Stand is outdated.
             if self._stepped and time > self._stepped and self._stood_since is None:
                 self._stood_since = time
         else:
             flags = _LEFT_FOR.get(behavior, _WRONG_BEHAVIOR)
-            self.outcome = aborted(flags, f"the Motion Manager went to {behavior!r}: {reason}")
+            self.outcome = aborted(flags, f"the Motion Manager entered {behavior!r}: {reason}")
 
-    def passed(self, now: float) -> None:
-        """Time has passed: end what waits for a word that does not come."""
+    def check_timeouts(self, now: float) -> None:
+        """End the plan after a timeout."""
         if self.outcome is not None:
             return
-        if now - self._heard > SILENCE:
-            flags, text = (
-                _F.ERR_CONTROLLER_NOT_READY,
-                f"no word of the Motion Manager for {SILENCE:g} s; is it running?",
-            )
+        if now - self._received > SILENCE:
+            flags = _F.ERR_CONTROLLER_NOT_READY
+            text = f"no message of the Motion Manager for {SILENCE:g} s; check `valorctl status`"
         elif self._stop_since is not None and self._time - self._stop_since > STOP * 1e9:
             flags, text = _F.ERR_UNKNOWN, f"the Motion Manager did not confirm the stop within {STOP:g} s"
         elif self._stood_since is not None and self._time - self._stood_since > SETTLE * 1e9:
             flags = _F.ERR_INVALID_BEHAVIOR_MODE
-            text = f"the Motion Manager went to {self._behavior!r} before the plan's end: {self._reason}"
-        elif self.status is None and self._heard_since is not None and self._time - self._heard_since > START * 1e9:
+            text = f"the Motion Manager entered {self._behavior!r} before the plan's end: {self._reason}"
+        elif self.status is None and self._first_time is not None and self._time - self._first_time > START * 1e9:
             flags, text = _F.ERR_UNKNOWN, f"accepted, but the Motion Manager reports no step within {START:g} s"
         else:
             return
-        self.outcome = Outcome(End.ABORTED, flags | _PREMATURE, ErrorStatus.ERR_UNKNOWN, text, unconfirmed=True)
+        self.outcome = PlanOutcome(End.ABORTED, flags | _PREMATURE, ErrorStatus.ERR_UNKNOWN, text, unconfirmed=True)

@@ -1,1 +1,1 @@
-"""The Foxglove bridge: an instance's ROS 2 topics, and a scene made of them, by WebSocket to whoever looks on."""
+"""Foxglove bridge: an instance's ROS 2 topics, and a scene made of them, by WebSocket."""

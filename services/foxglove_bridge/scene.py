@@ -1,7 +1,7 @@
-"""``/valor/scene``: soles, contact forces, CoM, DCM, CoP and footsteps out of ROS topics, and the simulated world.
+"""``/valor/scene``: soles, contact forces, CoM, DCM, CoP and footsteps from ROS topics, and the simulated world.
 
-The robot itself is its URDF, which Foxglove draws from ``/robot_description`` and ``/tf``. Frames are those of the
-messages. What is not heard of any more is taken away.
+Foxglove draws the robot itself from ``/robot_description`` and ``/tf``. Frames are those of the messages. Entities
+without messages are removed.
 """
 
 from __future__ import annotations
@@ -32,22 +32,21 @@ from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import Foot as Side
 
 import bifrost
-from valor.common.colors import BALANCE, LEFT, RIGHT
 from valor.common.instance import Settings
 from valor.common.messages import GroundTruth
+from valor.drawing.marks import BALANCE, LEFT, RIGHT
 from valor.foxglove_bridge.shapes import along, color, of_ros, points, pose, size, stamp
 from valor.robot.description import RobotDescription
 from valor.robot.tables import Foot
 from valor.ros.limbs import FEET, HANDS, WRENCH
-from valor.ros.node import Untouched
-from valor.ros.taking import uncalled, waiting
+from valor.ros.taking import polled, waiting
 
 TOPIC = "/valor/scene"
 PERIOD = 0.1  # [s]
-STALE = 0.5  # after which what was heard is shown no more [s]
-METRES = 1e-3  # of an arrow, for a newton
-TURNED = 1e-3  # that something turns until it is shown anew [rad]
-LEAST = 1.0  # force that is shown [N]
+STALE = 0.5  # Timeout of an entity without messages [s]
+METRES = 1e-3  # Scale of force arrows [m/N]
+TURNED = 1e-3  # Least rotation that updates fixtures [rad]
+LEAST = 1.0  # Least force shown [N]
 
 LIMBS = FEET + HANDS
 
@@ -59,28 +58,26 @@ _CORNERS = (("toe", 1.0), ("heel", 1.0), ("heel", -1.0), ("toe", -1.0))
 
 
 class _Source:
-    """A topic that an entity is made of."""
+    """Topic of an entity."""
 
     def __init__(self, name: str, topic: str, message_type: type, make: Make, qos: QoSProfile | int = 1) -> None:
         self.name, self._topic, self.type, self.make, self._qos = name, topic, message_type, make, qos
-        self._lasting = isinstance(qos, QoSProfile)  # said once, true until the next word
+        self._lasting = isinstance(qos, QoSProfile)  # latched: valid until the next message
         self._subscription: Any = None
         self._heard = 0.0
         self._shown = False
 
     def open(self, node: Any) -> None:
-        """Begin to hear."""
-        self._subscription = node.create_subscription(
-            self.type, self._topic, uncalled, self._qos, callback_group=Untouched()
-        )
+        """Subscribe."""
+        self._subscription = polled(node, self.type, self._topic, self._qos)
         self._shown = False
 
     def close(self, node: Any) -> None:
-        """Hear it no more."""
+        """End the subscription."""
         node.destroy_subscription(self._subscription)
 
     def look(self, now: float) -> Any | None:
-        """The newest message, if there is news."""
+        """Return the latest message, or None without a new one."""
         newest = None
         for message in waiting(self._subscription):
             newest = message
@@ -89,26 +86,26 @@ class _Source:
         return newest
 
     def gone(self, now: float) -> bool:
-        """Whether it was shown until now, and is to be taken away."""
+        """Return whether the entity has timed out and must be removed."""
         gone = self._shown and not self._lasting and now - self._heard > STALE
         self._shown = self._shown and not gone
         return gone
 
 
 class Scene:
-    """The scene, while somebody looks at it."""
+    """Scene, published while a client watches it."""
 
     def __init__(
         self, node: Any, context: foxglove.Context, settings: Settings, robot: RobotDescription,
         truth: bifrost.Subscriber[GroundTruth] | None,
     ) -> None:  # fmt: skip
-        """``truth``: of the simulated world; None: there is none."""
+        """Create the scene; ``truth`` is of the simulated world, None without one."""
         self._node, self._settings, self._robot, self._truth = node, settings, robot, truth
         feet = (robot.tables.feet.left, robot.tables.feet.right)
         self._channel = SceneUpdateChannel(TOPIC, context=context)
         self._world: Any = None
-        self._frame = ""  # in which the world is shown; empty: it is not yet
-        # Of its joints, as they are and as they are shown [rad].
+        self._frame = ""  # frame of the world; empty before it is shown
+        # Positions of its joints, actual and shown [rad].
         self._positions, self._turned = np.zeros(0), np.zeros(0)
         soles = dict(zip(FEET, feet, strict=True))
         wrenches = ((limb, WRENCH.format(limb), partial(_contact, foot=soles.get(limb))) for limb in LIMBS)
@@ -123,7 +120,7 @@ class Scene:
         self._next = 0.0
 
     def follow(self, watched: frozenset[int], new: frozenset[int]) -> None:
-        """Begin when somebody looks, anew for whoever is new, and end when nobody does."""
+        """Start with the first client, restart for a new one, end without clients."""
         channel = self._channel.id()
         if self._open and (channel not in watched or channel in new):
             for source in self._sources:
@@ -135,7 +132,7 @@ class Scene:
             self._open, self._frame = True, ""
 
     def show(self) -> int:
-        """Tell what is new, ten times a second; how many messages."""
+        """Publish changes ten times a second; return the number of messages."""
         now = time.monotonic()
         if not self._open or now < self._next:
             return 0
@@ -155,18 +152,18 @@ class Scene:
         return bool(entities or deletions)
 
     def _ground(self, frame: str) -> list[SceneEntity]:
-        """The ground, where the robot believes that it is; of a real one nobody knows."""
+        """Ground of the simulated world, in the robot's estimated frame."""
         self._frame, self._turned = frame, np.zeros(0)
         if self._settings.variant == "hardware":
             return []
         if self._world is None:
-            from valor.foxglove_bridge.world import World  # and with it MuJoCo, when somebody looks
+            from valor.foxglove_bridge.world import World  # imports MuJoCo only with a client
 
             self._world = World(self._settings, self._robot)
         return [self._world.ground(frame)]
 
     def _fixtures(self) -> list[SceneEntity]:
-        """What turns in the world, if it has turned; of a real one nobody knows."""
+        """Fixtures of the simulated world, if they have moved."""
         if self._truth is not None and (received := self._truth.latest()) is not None:
             self._positions = received.message.fixture_position
         positions, turned = self._positions, self._turned
@@ -179,18 +176,18 @@ class Scene:
         return [] if entity is None else [entity]
 
 
-def _ball(name: str, told: Any, *, rgb: str) -> SceneEntity:
-    """A point of the balance."""
-    at = pose((told.point.x, told.point.y, told.point.z))
+def _ball(name: str, message: Any, *, rgb: str) -> SceneEntity:
+    """Ball at a point of balance."""
+    header, at = message.header, pose((message.point.x, message.point.y, message.point.z))
     ball = SpherePrimitive(pose=at, size=size(0.04, 0.04, 0.04), color=color(rgb))
     return SceneEntity(
-        timestamp=stamp(told.header.stamp), frame_id=told.header.frame_id, id=name, frame_locked=True, spheres=[ball]
+        timestamp=stamp(header.stamp), frame_id=header.frame_id, id=name, frame_locked=True, spheres=[ball]
     )
 
 
-def _contact(name: str, told: Any, *, foot: Foot | None) -> SceneEntity:
-    """The force that the world puts on a foot or a hand, and a foot's sole."""
-    force = told.wrench.force
+def _contact(name: str, message: Any, *, foot: Foot | None) -> SceneEntity:
+    """Contact force of a foot or hand, and the outline of a sole."""
+    force = message.wrench.force
     vector = (force.x, force.y, force.z)
     newtons = math.hypot(*vector)
     rgb = LEFT if name in (FEET[0], HANDS[0]) else RIGHT
@@ -208,18 +205,18 @@ def _contact(name: str, told: Any, *, foot: Foot | None) -> SceneEntity:
         loop = LinePrimitiveLineType.LineLoop
         lines.append(LinePrimitive(type=loop, thickness=0.006, points=points(corners), color=color(rgb)))
     return SceneEntity(
-        timestamp=stamp(told.header.stamp), frame_id=told.header.frame_id, id=name, frame_locked=True,
+        timestamp=stamp(message.header.stamp), frame_id=message.header.frame_id, id=name, frame_locked=True,
         arrows=arrows, lines=lines,
     )  # fmt: skip
 
 
-def _footsteps(name: str, told: Any, *, feet: tuple[Foot, Foot]) -> SceneEntity:
-    """The plan as it runs, its steps numbered."""
-    cubes, texts, plan = [], [], told.feedback.feedback
+def _footsteps(name: str, message: Any, *, feet: tuple[Foot, Foot]) -> SceneEntity:
+    """Running plan with numbered steps."""
+    cubes, texts, plan = [], [], message.feedback.feedback
     for step in plan.steps:
         left = step.foot.foot_index == Side.LEFT
         foot, rgb = feet[0 if left else 1], LEFT if left else RIGHT
-        # A sole's frame is not in its middle: the box is as long to both sides as the longer.
+        # A sole's frame is not in its middle: the box has the longer half-length on both sides.
         extent = size(2.0 * max(foot.toe, -foot.heel), 2.0 * foot.half_width, 0.01)
         cubes.append(CubePrimitive(pose=of_ros(step.foot.pose), size=extent, color=color(rgb, 0.6)))
         texts.append(

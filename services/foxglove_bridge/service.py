@@ -1,7 +1,4 @@
-"""The loop: what somebody looks at is heard and handed on; while nobody looks, next to nothing is done.
-
-Whoever looks can look, and no more: the server offers neither publishing nor services nor parameters.
-"""
+"""Forwards the topics that clients watch; the server offers no publishing, services or parameters."""
 
 from __future__ import annotations
 
@@ -17,26 +14,24 @@ from valor.service import Context, quiet_collector
 try:
     import foxglove
 
-    from valor.foxglove_bridge.assets import Assets
-    from valor.foxglove_bridge.channels import RosChannels
+    from valor.foxglove_bridge.channels import Assets, RosChannels, Watchers
     from valor.foxglove_bridge.scene import Scene
-    from valor.foxglove_bridge.watchers import Watchers
 except ModuleNotFoundError as error:
     MISSING = error.name
 else:
     MISSING = None
 
-PERIOD = 0.02  # between two looks while somebody looks on [s]
-IDLE_PERIOD = 0.1  # else [s]
+PERIOD = 0.02  # Polling period with a client [s]
+IDLE_PERIOD = 0.1  # Polling period without a client [s]
 DISCOVERY_PERIOD = 1.0  # [s]
-BACKLOG = 4096  # messages that may wait for a client; then the oldest go
+BACKLOG = 4096  # Messages queued per client; then the oldest are dropped
 
 
 class FoxgloveBridge:
-    """A WebSocket server of Foxglove's protocol beside a ROS node that hears what is watched.
+    """WebSocket server of Foxglove's protocol, with a ROS node for the watched topics.
 
     Raises:
-        ConfigurationError: its library is not installed, or it cannot listen where the settings say.
+        ConfigurationError: the library is not installed, or the address of the settings is not available.
     """
 
     def __init__(self, context: Context) -> None:
@@ -51,11 +46,11 @@ class FoxgloveBridge:
         self._channels = RosChannels(self._side.node, channels, meshes)
         truth = GROUND_TRUTH.subscriber(context.node) if settings.variant == "simulation" else None
         self._scene = Scene(self._side.node, channels, settings, context.robot, truth)
-        self._side.life.configured()
+        self._side.life.configure()
         self._address = f"ws://{settings.foxglove.host}:{self._server.port}"
 
     def run(self) -> None:
-        """Show until told to stop."""
+        """Serve until stopped."""
         self._channels.discover()
         quiet_collector()
         statistics, watched = self._context.statistics, frozenset[int]()
@@ -66,9 +61,9 @@ class FoxgloveBridge:
                 next_discovery = time.monotonic() + DISCOVERY_PERIOD
                 self._channels.discover()
                 looking = self._watchers.clients
-                self._side.life.tell(True)
-                self._side.attend()
-                statistics.state("ready", f"{self._address}: {looking or 'nobody'} looking")
+                self._side.life.set_ready(True)
+                self._side.serve_pending()
+                statistics.state("ready", f"{self._address}: {looking} looking")
             watched, new = self._watchers.look()
             self._channels.follow(watched, new)
             self._scene.follow(watched, new)
@@ -78,7 +73,7 @@ class FoxgloveBridge:
                 statistics.idle()
 
     def close(self) -> None:
-        """Leave both sides."""
+        """Close the server and the ROS node."""
         self._server.stop()
         self._side.close()
 

@@ -1,4 +1,4 @@
-"""The simulated world as entities of the scene, by its name and seed: the ground, and what turns on it."""
+"""Scene entities of the simulated world, from its name and seed: ground and moving fixtures."""
 
 from __future__ import annotations
 
@@ -16,24 +16,20 @@ from valor.robot.description import RobotDescription
 from valor.simulation import worlds
 from valor.simulation.height_fields import triangles
 
-_FLOOR = 30.0  # side of what stands for a floor without end [m]
-_THICK = 0.01  # of it [m]
+_FLOOR = 30.0  # side of the box drawn for an infinite floor [m]
+_THICK = 0.01  # its thickness [m]
 _FLOOR_COLOR = "d3d7db"
-_FINE = 0.1  # between two points of a height field, of which every n-th is drawn [m]
+_FINE = 0.1  # largest spacing of drawn points of a height field [m]
 
 
 class World:
-    """A world's shapes."""
+    """Shapes of a world."""
 
     def __init__(self, settings: Settings, robot: RobotDescription) -> None:
-        """Make it.
-
-        Args:
-            settings: with the world's name, and the seed of all that is random in it.
-            robot: by whose size it is made.
+        """Load the world of the settings, scaled to the robot.
 
         Raises:
-            ConfigurationError: there is no such world.
+            ConfigurationError: the world does not exist.
         """
         self._model = worlds.load(settings.world, settings.seed, worlds.size_of(robot)).compile()
         self._data = mujoco.MjData(self._model)
@@ -41,11 +37,11 @@ class World:
         self._fixed = self._model.body_weldid[self._model.geom_bodyid] == 0
 
     def ground(self, frame: str) -> SceneEntity:
-        """What stands still, in the frame in which the robot stood above the origin when it started."""
+        """Return the fixed shapes, in the frame with the robot's start above its origin."""
         return self._entity("world", frame, np.flatnonzero(self._fixed))
 
     def fixtures(self, frame: str, positions: FloatArray) -> SceneEntity | None:
-        """What turns, at some positions of the world's joints [rad]; None: nothing does, or it is another world's."""
+        """Return the moving shapes at positions of the world's joints [rad]; None without any, or if sizes differ."""
         if not self._model.nq or positions.size != self._model.nq:
             return None
         self._data.qpos[:] = positions
@@ -77,13 +73,13 @@ class World:
 
 def _color(model: Any, geom: int) -> Any:
     material = int(model.geom_matid[geom])
-    plain = bool((model.geom_rgba[geom] == [0.5, 0.5, 0.5, 1.0]).all())  # MuJoCo's, where none is said
+    plain = bool((model.geom_rgba[geom] == [0.5, 0.5, 0.5, 1.0]).all())  # MuJoCo's default
     rgba = model.mat_rgba[material] if material >= 0 and plain else model.geom_rgba[geom]
     return color("".join(f"{round(255 * float(each)):02x}" for each in rgba[:3]))
 
 
 def _height_field(model: Any, geom: int) -> TriangleListPrimitive:
-    """Drawn coarser than it is simulated."""
+    """Return a height field, coarser than simulated."""
     vertices, faces = triangles(model, int(model.geom_dataid[geom]), _FINE)
     where = pose(model.geom_pos[geom], model.geom_quat[geom])
     return TriangleListPrimitive(

@@ -1,8 +1,8 @@
-"""The loop: commands of the Comms Manager to the driver, states of the driver to the Comms Manager.
+"""The bridge's loop: commands of the Comms Manager to the driver, states of the driver to the Comms Manager.
 
-Nothing is kept but the newest message of each topic in each direction: on Bifrost by subscribers that hold one, on
-ROS by queues of depth 1. So nobody waits for anybody, neither side notices that the other begins anew, and what a side
-missed while it was away is not made up. What may move an arm is for those at the ends to decide.
+Only the latest message of each topic is forwarded: Bifrost subscribers hold one, ROS queues have depth 1. Neither side
+waits for the other or notices its restart, and missed messages are not repeated. The Comms Manager and the driver
+decide which commands may move an arm.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
+import msgspec
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from valor_msgs.msg import HdtCommand as RosCommand
@@ -17,49 +18,63 @@ from valor_msgs.msg import HdtState as RosState
 
 import bifrost
 from valor.common.errors import ConfigurationError
-from valor.common.messages import HdtCommand, HdtState
+from valor.common.messages import HdtState, Statistics
 from valor.common.topics import STATISTICS, hdt_topics
 from valor.devices.table import HdtBifrost
-from valor.hdt_bridge.driver_report import DRIVER, statistics
-from valor.hdt_bridge.twin import Twin
-from valor.ros.node import WALL, RosSide, Untouched
-from valor.ros.taking import take, uncalled, waiting
+from valor.ros.mirror import MirrorPublisher, from_ros
+from valor.ros.node import RosSide
+from valor.ros.taking import polled, take, waiting
 from valor.service import Context, quiet_collector
 
-LOOK_EVERY = 0.004  # at ROS, which nobody waits for [s]
+DRIVER = "hdt_driver"
+POLL_EVERY = 0.004  # period of polling ROS [s]
 
-_NEWEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+_LATEST = QoSProfile(depth=1, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def statistics(message: Any) -> Statistics | None:
+    """Statistics of the driver from a ``DiagnosticArray``; None if it holds none, or invalid ones."""
+    for status in message.status:
+        if status.name == DRIVER:
+            ready = status.message == "ready"
+            values: dict[str, Any] = {each.key: each.value for each in status.values}
+            values |= {"service": DRIVER, "drops": 0}
+            values |= {"state": "ready", "detail": ""} if ready else {"state": "starting", "detail": status.message}
+            try:
+                return msgspec.convert(
+                    [values[name] for name in Statistics.__struct_fields__], Statistics, strict=False
+                )
+            except (KeyError, msgspec.ValidationError):
+                return None
+    return None
 
 
 class _Limb:
     """The two topics of a limb, on both sides."""
 
-    def __init__(self, bifrost_node: bifrost.Node, ros_node: Any, untouched: Untouched, name: str) -> None:
+    def __init__(self, bifrost_node: bifrost.Node, ros_node: Any, name: str) -> None:
         commands, states = hdt_topics(name)
         self.commands, self._states = commands.subscriber(bifrost_node), states.publisher(bifrost_node)
-        self._ros_commands = ros_node.create_publisher(RosCommand, f"hdt/{name}/command", _NEWEST)
-        self._ros_states = ros_node.create_subscription(
-            RosState, f"hdt/{name}/state", uncalled, _NEWEST, callback_group=untouched, raw=True
-        )
-        self._command, self._state = Twin(HdtCommand, RosCommand), Twin(HdtState, RosState)
+        self._ros_commands = MirrorPublisher(ros_node, RosCommand, f"hdt/{name}/command", _LATEST)
+        self._ros_states = polled(ros_node, RosState, f"hdt/{name}/state", _LATEST)
 
     def forward_command(self) -> bool:
-        """To ROS, if there is a new one; whether there was."""
+        """Publish a new command, if any, to ROS; returns whether there was one."""
         received = self.commands.latest()
         if received is not None:
-            self._ros_commands.publish(self._command.to_ros(received, WALL.now().nanoseconds))
+            self._ros_commands.publish(received)
         return received is not None
 
     def forward_state(self) -> bool:
-        """To Bifrost, if there is a new one; whether there was."""
+        """Publish a new state, if any, to Bifrost; returns whether there was one."""
         taken = take(self._ros_states)
         if taken is not None:
-            self._states.publish(self._state.from_ros(taken[0]))
+            self._states.publish(from_ros(HdtState, taken[0]))
         return taken is not None
 
 
 class HdtBridge:
-    """Bifrost ↔ ROS for all limbs, and the driver's word of itself."""
+    """Forwards messages of all limbs between Bifrost and ROS, and the driver's statistics to Bifrost."""
 
     def __init__(self, context: Context) -> None:
         self._stopping = context.stopping
@@ -71,25 +86,23 @@ class HdtBridge:
         self._side = RosSide(
             context.name, context.settings, context.instance.environment(), context.arguments, sim_time=False
         )
-        node, untouched = self._side.node, Untouched()
-        self._limbs = [_Limb(context.node, node, untouched, name) for name in names]
-        self._diagnostics = node.create_subscription(
-            DiagnosticArray, "diagnostics", uncalled, 10, callback_group=untouched
-        )
-        self._side.life.configured()
+        node = self._side.node
+        self._limbs = [_Limb(context.node, node, name) for name in names]
+        self._diagnostics = polled(node, DiagnosticArray, "diagnostics", 10)
+        self._side.life.configure()
         self._driver = STATISTICS[DRIVER].publisher(context.node)
 
     def run(self) -> None:
-        """Forward until told to stop."""
+        """Forward until the service is to stop."""
         quiet_collector()
         self._own.state("ready")
-        self._side.life.tell(True)
+        self._side.life.set_ready(True)
         limbs = {limb.commands: limb for limb in self._limbs}
         commands = bifrost.Poller(list(limbs))
         look_at = 0.0
         while not self._stopping.is_set():
             began = time.perf_counter()
-            ready = commands.look(LOOK_EVERY)
+            ready = commands.look(POLL_EVERY)
             waited = time.perf_counter() - began
             news = False
             for each in ready:
@@ -98,8 +111,8 @@ class HdtBridge:
                 news = limb.forward_state() or news
             if began >= look_at:
                 look_at = began + 0.1
-                self._tell_of_driver()
-                self._side.attend()
+                self._report_driver()
+                self._side.serve_pending()
             if news:
                 self._own.cycle(began, waited)
             else:
@@ -107,10 +120,10 @@ class HdtBridge:
         commands.close()
 
     def close(self) -> None:
-        """Leave ROS."""
+        """Close the ROS node."""
         self._side.close()
 
-    def _tell_of_driver(self) -> None:
+    def _report_driver(self) -> None:
         for message in waiting(self._diagnostics):
             if (report := statistics(message)) is not None:
                 self._driver.publish(report)

@@ -1,1 +1,1 @@
-"""The vendor's driver of the HDT arms and hands: a ROS 2 node before the modules' bus. It knows nothing of Bifrost."""
+"""Driver of the HDT arms and hands: a ROS 2 node between topics and the modules' bus, without Bifrost."""

@@ -1,197 +1,171 @@
-"""One arm or hand: which set-points its modules get, whatever is asked of it."""
+"""One arm or hand: checks commands, bounds set-points, and stores the measured state."""
 
 from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.devices.hdt_bus import Fault, SegmentState, Setpoints, segments
+from valor.devices.hdt_bus import Fault
 from valor.robot.description import RobotDescription
 
-SILENCE = 0.25  # without a command for so long, the limb stops where it was told to be last [s]
-ENGAGE = 0.15  # a joint that is not led yet takes no set-point farther off than this [rad]
-JUMP = 0.25  # between two states of a joint, that it cannot have moved by [rad]
+SILENCE = 0.25  # timeout of commands, after which the limb holds its last set-points [s]
+ENGAGE = 0.15  # largest distance of a joint from the set-point that engages it [rad]
+JUMP = 0.25  # smallest change between two states that is an encoder fault [rad]
 # As numbers, which NumPy keeps in the type of its arrays.
 _NO_ANSWER, _ENCODER = int(Fault.NO_ANSWER), int(Fault.ENCODER)
-_UNLED = _NO_ANSWER | _ENCODER  # a joint that has them is not led
-_SPEED_MARGIN = 1.5  # over a joint's velocity limit, that its set-point may move with
-_LOG_EVERY = 5.0  # of each kind of refusal [s]
+_DISENGAGING = _NO_ANSWER | _ENCODER
+_SPEED_MARGIN = 1.5  # set-point speed per velocity limit
+_LOG_EVERY = 5.0  # per kind of rejection [s]
 _HIGHEST_MODE = 3
 
 _log = logging.getLogger("hdt_driver")
 
 
 @dataclass(frozen=True)
-class Command:
-    """A command as it came; (k,) each if it is sound.
+class Setpoints:
+    """Set-points of a limb's joints, (k,) each, in the units of ``HdtCommand``."""
 
-    Attributes:
-        sequence: the sender's.
-        setpoints: what is asked of the joints.
-    """
-
-    sequence: int
-    setpoints: Setpoints
+    sequence: int  # of the ``HdtCommand``
+    mode: npt.NDArray[np.uint8]
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+    stiffness: FloatArray
+    damping: FloatArray
 
 
 class Limb:
-    """A limb's joints, what is known of them and what they are told.
+    """Joints of a limb, their latest states, and their set-points.
 
-    A joint is *led* once a set-point came that is near where it is. Until then, and again after its modules or its
-    commands were silent, it holds where it is. A led joint's set-point moves no quicker than its limit allows.
+    A joint *engages* on the first set-point near its position. Before that, and again after its modules or the commands
+    timed out, it holds its position. The set-point of an engaged joint moves at a bounded speed.
 
     Attributes:
         name: its group in robot.yaml.
         joints: their names, k of them.
-        parts: which of them each of its segments has.
-        position, velocity, effort, temperature: (k,) measured last [rad, rad/s, N·m, °C].
+        position, velocity, effort, temperature: (k,) latest measurements [rad, rad/s, N·m, °C].
         fault: (k,) ``Fault`` bits.
         voltage: of its supply [V].
-        obeyed: sequence of the newest command that acted before all of that was measured; 0: none yet.
-        refused: commands that were not sound.
+        applied: sequence of the latest command that was applied before those measurements; 0 before the first.
+        rejected: number of rejected commands.
     """
 
     def __init__(self, robot: RobotDescription, name: str, period: float) -> None:
         """``period``: between two calls of ``setpoints`` [s]."""
         self.name = name
         self.joints = tuple(robot.tables.groups[name])
-        self.parts = segments(len(self.joints))
-        places = robot.group_indices(name)
-        self._lower, self._upper = robot.lower[places], robot.upper[places]
-        self._effort_limit = robot.effort_limit[places]
-        self._velocity_limit = robot.velocity_limit[places]
+        indices = robot.group_indices(name)
+        self._lower, self._upper = robot.lower[indices], robot.upper[indices]
+        self._effort_limit = robot.effort_limit[indices]
+        self._velocity_limit = robot.velocity_limit[indices]
         self._step = _SPEED_MARGIN * self._velocity_limit * period
         k = len(self.joints)
         self.position, self.velocity, self.effort = np.full(k, math.nan), np.zeros(k), np.zeros(k)
         self.temperature = np.full(k, math.nan)
         self.fault = np.full(k, _NO_ANSWER, dtype=np.uint8)
         self.voltage = math.nan
-        self.obeyed = 0
-        self.refused = 0
-        self._target: Command | None = None  # the newest sound one
-        self._heard = -math.inf
-        self._led = np.zeros(k, dtype=bool)
-        self._held = np.zeros(k)  # set-points of the last cycle
-        self._effort = np.zeros(k)
-        self._sent: dict[int, int] = {}  # count of a frame → sequence of the command that it carried
+        self.applied = 0
+        self.rejected = 0
+        self._target: Setpoints | None = None  # the latest valid one
+        self._received = -math.inf  # [monotonic s]
+        self._engaged = np.zeros(k, dtype=bool)
+        self._held, self._held_effort = np.zeros(k), np.zeros(k)  # set-points of the last cycle
         self._logged: dict[str, float] = {}
 
     @property
-    def known(self) -> bool:
-        """Whether every joint has been measured: nothing is told to a limb of which anything is unknown."""
-        return not np.isnan(self.position).any()
+    def engaged(self) -> bool:
+        return bool(self._engaged.all())
 
-    @property
-    def led(self) -> bool:
-        """Whether all joints follow commands."""
-        return bool(self._led.all())
-
-    def take(self, command: Command, now: float) -> None:
-        """A command came [monotonic s]; refused whole, counted and logged if it is not sound."""
-        if reason := self._fault(command.setpoints):
-            self._refuse(reason, now)
+    def accept(self, command: Setpoints, now: float) -> None:
+        """Store a command received at ``now`` [monotonic s]; an invalid one is rejected whole, counted and logged."""
+        if reason := self._fault(command):
+            self._reject(reason, now)
             return
-        self._target, self._heard = command, now
+        self._target, self._received = command, now
 
-    def measured(self, part: slice, state: SegmentState) -> None:
-        """A segment answered."""
-        if state.command_sequence in self._sent:
-            self.obeyed = self._sent[state.command_sequence]
-        self.voltage = state.voltage
-        # As nearly always: all is well and was, and nothing has jumped.
-        if not (self.fault.any() or state.fault.any()) and (np.abs(state.position - self.position[part]).max() <= JUMP):
-            self.position[part], self.velocity[part] = state.position, state.velocity
-            self.effort[part], self.temperature[part] = state.effort, state.temperature
-            return
-        back = self.fault[part] & _NO_ANSWER > 0
-        # What moves farther between two states than it can is an encoder's mistake: where it was is believed, until it
-        # says that again. After a silence anything may be true.
-        jumped = ~back & (np.abs(state.position - self.position[part]) > JUMP)
-        self.position[part] = np.where(jumped, self.position[part], state.position)
-        self.velocity[part] = np.where(jumped, 0.0, state.velocity)
-        self.effort[part], self.temperature[part] = state.effort, state.temperature
-        self.fault[part] = state.fault | jumped.astype(np.uint8) * _ENCODER
-        self._led[part] &= ~back & (self.fault[part] & _UNLED == 0)
-        if back.any():  # where it is now, it may have come by itself
-            self._held[part] = np.where(back, state.position, self._held[part])
-            self._effort[part] = np.where(back, 0.0, self._effort[part])
+    def measured(self, state: np.void) -> None:
+        """Store a state of its modules (``hdt_bus.state_layout``).
 
-    def silent(self, part: slice) -> None:
-        """A segment does not answer any more."""
-        self.fault[part] |= _NO_ANSWER
-        self.velocity[part] = self.effort[part] = 0.0
-        self._led[part] = False
-
-    def setpoints(self, frame: int, now: float) -> Setpoints | None:
-        """What the modules are told in this cycle; None: nothing new, before anybody has led them.
-
-        Args:
-            frame: count of the frames that carry it, 1 to 65535.
-            now: monotonic [s].
+        A position that changes faster than a joint can move is an encoder fault: the earlier position stays until the
+        encoder reports it again. After a timeout, any position is accepted.
         """
-        target = self._target
-        if target is None or not self.known:
-            return None
-        wanted = target.setpoints
-        if now - self._heard > SILENCE:  # whoever comes next begins from where the limb is
-            self._target = None
-            self._led[:] = False
-            _log.warning("%s: no command for %g s; it stays where it is", self.name, SILENCE)
-        position = np.minimum(np.maximum(wanted.position, self._lower), self._upper)
-        if not self._led.all():
-            self._lead(position, now)
-        step = np.minimum(np.maximum(position - self._held, -self._step), self._step)
-        velocity = np.minimum(np.maximum(wanted.velocity, -self._velocity_limit), self._velocity_limit)
-        if (led := self._led).all():
-            self._held, self._effort = self._held + step, wanted.effort.copy()
-        else:
-            self._held = np.where(led, self._held + step, self._held)
-            self._effort = np.where(led, wanted.effort, self._effort)
-            velocity = np.where(led, velocity, 0.0)
-        effort = np.minimum(np.maximum(self._effort, -self._effort_limit), self._effort_limit)
-        self._sent[frame] = target.sequence
-        if len(self._sent) > 64:
-            del self._sent[next(iter(self._sent))]
-        return Setpoints(wanted.mode, self._held, velocity, effort, wanted.stiffness, wanted.damping)
+        self.applied, self.voltage = int(state["sequence"]), float(state["voltage"])
+        position = state["position"]
+        back = self.fault & _NO_ANSWER > 0
+        jumped = ~back & (np.abs(position - self.position) > JUMP)
+        self.position = np.where(jumped, self.position, position)
+        self.velocity = np.where(jumped, 0.0, state["velocity"])
+        self.effort, self.temperature = state["effort"], state["temperature"]
+        self.fault = state["fault"] | np.where(jumped, np.uint8(_ENCODER), np.uint8(0))
+        self._engaged &= ~back & (self.fault & _DISENGAGING == 0)
+        self._held = np.where(back, position, self._held)  # it may have moved during the timeout
+        self._held_effort = np.where(back, 0.0, self._held_effort)
 
-    def _lead(self, position: FloatArray, now: float) -> None:
-        """Joints that are not led yet and whose set-point is near are led from now on."""
-        if self._target is None:
+    def timed_out(self) -> None:
+        """Mark all joints: the modules no longer respond."""
+        self.fault = self.fault | np.uint8(_NO_ANSWER)
+        self.velocity, self.effort = np.zeros(len(self.joints)), np.zeros(len(self.joints))
+        self._engaged[:] = False
+
+    def setpoints(self, now: float) -> Setpoints | None:
+        """Set-points of this cycle at ``now`` [monotonic s]; None without a command or a measured position."""
+        target = self._target
+        if target is None or np.isnan(self.position).any():
+            return None
+        if now - self._received > SILENCE:
+            self._target = None
+            self._engaged[:] = False
+            _log.warning("%s: no command for %g s; it holds its position", self.name, SILENCE)
+        position = np.minimum(np.maximum(target.position, self._lower), self._upper)
+        if self._target is not None:
+            self._engage(position, now)
+        step = np.minimum(np.maximum(position - self._held, -self._step), self._step)
+        velocity = np.minimum(np.maximum(target.velocity, -self._velocity_limit), self._velocity_limit)
+        engaged = self._engaged
+        self._held = np.where(engaged, self._held + step, self._held)
+        self._held_effort = np.where(engaged, target.effort, self._held_effort)
+        velocity = np.where(engaged, velocity, 0.0)
+        effort = np.minimum(np.maximum(self._held_effort, -self._effort_limit), self._effort_limit)
+        return replace(target, position=self._held, velocity=velocity, effort=effort)
+
+    def _engage(self, position: FloatArray, now: float) -> None:
+        waiting = ~self._engaged & (self.fault & _DISENGAGING == 0)
+        if not waiting.any():
             return
-        waiting = ~self._led & (self.fault & _UNLED == 0)
         error = np.abs(position - self.position)
         near = waiting & (error <= ENGAGE)
         self._held[near] = position[near]
-        self._led |= near
+        self._engaged |= near
         if (far := waiting & ~near).any():
             worst = int(np.argmax(np.where(far, error, 0.0)))
-            self._refuse(
-                f"{self.joints[worst]}: the first set-point is {error[worst]:.2f} rad from where the joint is, "
-                f"at most {ENGAGE:g} rad is taken",
+            self._reject(
+                f"{self.joints[worst]}: the first set-point is {error[worst]:.2f} rad from the joint's position, "
+                f"expected at most {ENGAGE:g} rad",
                 now,
             )
 
-    def _fault(self, wanted: Setpoints) -> str:
+    def _fault(self, command: Setpoints) -> str:
         k = len(self.joints)
-        numbers = (wanted.position, wanted.velocity, wanted.effort, wanted.stiffness, wanted.damping)
-        if wanted.mode.size != k or any(each.size != k for each in numbers):
-            sizes = ", ".join(str(each.size) for each in (wanted.mode, *numbers))
+        numbers = (command.position, command.velocity, command.effort, command.stiffness, command.damping)
+        if command.mode.size != k or any(each.size != k for each in numbers):
+            sizes = ", ".join(str(each.size) for each in (command.mode, *numbers))
             return f"wrong length: {sizes} (mode, position, velocity, effort, stiffness, damping), expected {k}"
         if not math.isfinite(sum(float(each.dot(each)) for each in numbers)):
             return "not finite: position, velocity, effort, stiffness or damping"
-        if wanted.mode.max() > _HIGHEST_MODE:
-            return f"unknown mode: {wanted.mode.max()}, expected 0 to {_HIGHEST_MODE}"
-        if wanted.stiffness.min() < 0.0 or wanted.damping.min() < 0.0:
+        if command.mode.max() > _HIGHEST_MODE:
+            return f"unknown mode: {command.mode.max()}, expected 0 to {_HIGHEST_MODE}"
+        if command.stiffness.min() < 0.0 or command.damping.min() < 0.0:
             return "negative gain: stiffness or damping"
         return ""
 
-    def _refuse(self, reason: str, now: float) -> None:
-        self.refused += 1
+    def _reject(self, reason: str, now: float) -> None:
+        self.rejected += 1
         kind = reason.partition(":")[0]
         if now - self._logged.get(kind, -math.inf) >= _LOG_EVERY:
             self._logged[kind] = now
-            _log.warning("%s: command not obeyed: %s", self.name, reason)
+            _log.warning("%s: command rejected: %s", self.name, reason)

@@ -1,1 +1,1 @@
-"""The camera in a simulated robot's head: pictures on ROS 2, while somebody looks."""
+"""Simulated head camera: pictures on ROS 2 while subscribed."""

@@ -1,10 +1,12 @@
-"""The loop: where the simulated robot is becomes a picture, at a rate, while somebody listens on ROS 2."""
+"""Publishes pictures of the simulated robot while a ROS 2 node subscribes."""
 
 from __future__ import annotations
 
 import io
+import math
 import time
 
+import mujoco
 import numpy as np
 from geometry_msgs.msg import TransformStamped
 from PIL import Image as Pillow
@@ -13,21 +15,32 @@ from sensor_msgs.msg import CameraInfo, CompressedImage
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.messages import GroundTruth
+from valor.common.poses import Pose
 from valor.common.processes import CAMERA
+from valor.common.rotation import Quaternion
 from valor.common.topics import GROUND_TRUTH
-from valor.drawing.errors import RenderingError
-from valor.drawing.posture import Posture
-from valor.head_camera import eye
+from valor.drawing import Posture, RenderingError
+from valor.drawing.scene import Quality, Scene
+from valor.robot.description import RobotDescription
+from valor.robot.model import robot_spec
 from valor.ros.node import RosSide
 from valor.ros.parameters import Parameters, Range
 from valor.service import Context, quiet_collector
 
 FRAME = "head_camera_optical_frame"
-RATE = 2.0  # of pictures, of robot time that goes as the wall's [Hz]
-QUALITY = 80  # of a JPEG
-PERIOD = 0.1  # between two looks whether anybody listens [s]
+RATE = 2.0  # Default rate of pictures by the wall clock [Hz]
+QUALITY = 80  # JPEG quality
+PERIOD = 0.1  # Polling period of subscriptions [s]
+WIDTH, HEIGHT = 640, 480  # [pixels]
+FIELD_OF_VIEW = math.radians(60.0)  # vertical
+DOWN = math.radians(25.0)  # viewing angle below the horizon with a level head
+FOCAL_LENGTH = 0.5 * HEIGHT / math.tan(0.5 * FIELD_OF_VIEW)  # [pixels]
+_FREE = 0.02  # Distance in front of the carrying body [m]
+_NAME = "head_camera"
+_DETAIL = Quality(larger=1.0, shadow=0, slices=12)
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -35,14 +48,14 @@ class HeadCamera:
     """``camera/image_raw/compressed`` and ``camera/camera_info``; its frame in ``/tf_static``.
 
     Raises:
-        ConfigurationError: there is no off-screen OpenGL here; names what to install.
+        ConfigurationError: off-screen OpenGL is not available.
     """
 
     def __init__(self, context: Context) -> None:
         self._context, settings, robot = context, context.settings, context.robot
         self._truth = GROUND_TRUTH.subscriber(context.node)
         try:
-            self._eye = eye.Eye(robot, settings.world, settings.seed)
+            self._view = view(robot, settings.world, settings.seed)
         except RenderingError as error:
             raise ConfigurationError(f"{CAMERA}: {error}") from None
         self._side = RosSide(context.name, settings, context.instance.environment(), context.arguments)
@@ -53,20 +66,20 @@ class HeadCamera:
         self._images = node.create_publisher(CompressedImage, "camera/image_raw/compressed", qos_profile_sensor_data)
         self._infos = node.create_publisher(CameraInfo, "camera/camera_info", qos_profile_sensor_data)
         self._fixed = node.create_publisher(TFMessage, "/tf_static", _LATCHED)
-        self._fixed.publish(TFMessage(transforms=[self._mount(prefix + eye.body_of(robot))]))
-        self._side.life.configured()
+        self._fixed.publish(TFMessage(transforms=[self._mount(prefix + body_of(robot))]))
+        self._side.life.configure()
 
     def run(self) -> None:
-        """Draw until told to stop."""
+        """Draw until stopped."""
         quiet_collector()
         statistics, stopping = self._context.statistics, self._context.stopping
-        self._side.life.tell(True)
+        self._side.life.set_ready(True)
         drawn, due = -1, 0.0
         while not stopping.wait(PERIOD):
-            self._side.attend()
+            self._side.serve_pending()
             newest = self._truth.latest()
             listeners = self._images.get_subscription_count() + self._infos.get_subscription_count()
-            statistics.state("ready", f"{listeners or 'nobody'} listening")
+            statistics.state("ready", f"{listeners} listening")
             began = time.perf_counter()
             if listeners and newest is not None and newest.message.time != drawn and began >= due:
                 drawn, due = newest.message.time, began + self._period
@@ -76,14 +89,14 @@ class HeadCamera:
                 statistics.idle()
 
     def close(self) -> None:
-        """Leave ROS, and give the graphics memory back."""
+        """Close the ROS node and free the graphics memory."""
         self._side.close()
-        self._eye.close()
+        self._view.close()
 
     def _show(self, truth: GroundTruth) -> None:
         header = Header(frame_id=self._frame)
         header.stamp.sec, header.stamp.nanosec = divmod(truth.time, 1_000_000_000)
-        image = self._eye.see(
+        image = self._view.draw(
             Posture(
                 1e-9 * truth.time, "", truth.pelvis_position_in_world, truth.pelvis_orientation_in_world,
                 truth.joint_position, truth.fixture_position,
@@ -95,7 +108,7 @@ class HeadCamera:
         self._images.publish(CompressedImage(header=header, format="jpeg", data=packed.getvalue()))
 
     def _mount(self, parent: str) -> TransformStamped:
-        place = eye.pose_in_body(self._context.robot)
+        place = pose_in_body(self._context.robot)
         made = TransformStamped(child_frame_id=self._frame)
         made.header.frame_id = parent
         translation, rotation = made.transform.translation, made.transform.rotation
@@ -105,8 +118,82 @@ class HeadCamera:
 
 
 def _info(header: Header) -> CameraInfo:
-    pinhole = eye.intrinsics()
+    pinhole = intrinsics()
     return CameraInfo(
-        header=header, height=eye.HEIGHT, width=eye.WIDTH, distortion_model="plumb_bob", d=[0.0] * 5,
+        header=header, height=HEIGHT, width=WIDTH, distortion_model="plumb_bob", d=[0.0] * 5,
         k=pinhole.ravel(), r=np.eye(3).ravel(), p=np.column_stack([pinhole, np.zeros(3)]).ravel(),
     )  # fmt: skip
+
+
+def body_of(robot: RobotDescription) -> str:
+    """Return the body that carries the camera: the head, or else the chest."""
+    return robot.tables.head or robot.tables.chest
+
+
+def pose_in_body(robot: RobotDescription) -> Pose:
+    """Return the camera pose in the body that carries it; optical frame of REP 103: z ahead, x right, y down.
+
+    The camera is in front of the middle of the body and its children. With all joints at 0 it looks in the direction of
+    the left sole, down by ``DOWN``.
+    """
+    model = robot_spec(robot, "all").compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    body = model.body(body_of(robot)).id
+    shapes = [geom for geom in range(model.ngeom) if _carries(model, body, int(model.geom_bodyid[geom]))]
+    toes = data.site(robot.tables.feet.left.sole).xmat.reshape(3, 3)[:, 0]
+    yaw = math.atan2(toes[1], toes[0])
+    level = np.array([[math.cos(yaw), math.sin(yaw), 0.0], [-math.sin(yaw), math.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+    boxes = np.array([_box(model, data, geom, level) for geom in shapes] or [(level @ data.xpos[body],) * 2])
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    place = level.T @ (high[0] + _FREE, *(low + high)[1:] / 2)
+    ahead = level.T @ (math.cos(DOWN), 0.0, -math.sin(DOWN))
+    right = -level[1]
+    optical = np.column_stack([right, np.cross(ahead, right), ahead])
+    rotation = data.xmat[body].reshape(3, 3)
+    x, y, z = map(float, rotation.T @ (place - data.xpos[body]))
+    return Pose((x, y, z), _quaternion(rotation.T @ optical))
+
+
+def view(robot: RobotDescription, world: str, seed: int) -> Scene:
+    """Return the scene seen by the camera.
+
+    Raises:
+        RenderingError: off-screen OpenGL is not available.
+    """
+    place = pose_in_body(robot)
+
+    def add(spec: mujoco.MjSpec) -> None:
+        body = spec.body(body_of(robot))
+        turned = np.array(place.rotation) @ np.diag([1.0, -1.0, -1.0])  # MuJoCo's camera looks along -z, with y up
+        body.add_camera(name=_NAME, pos=place.position, quat=_quaternion(turned), fovy=math.degrees(FIELD_OF_VIEW))
+
+    scene = Scene(robot, WIDTH, HEIGHT, world, seed, quality=_DETAIL, add=add)
+    scene.look_through(_NAME)
+    return scene
+
+
+def intrinsics() -> FloatArray:
+    """Return (3, 3) of a pinhole without distortion [pixels]."""
+    return np.array([[FOCAL_LENGTH, 0.0, WIDTH / 2], [0.0, FOCAL_LENGTH, HEIGHT / 2], [0.0, 0.0, 1.0]])
+
+
+def _quaternion(rotation: FloatArray) -> Quaternion:
+    turned = np.empty(4)
+    mujoco.mju_mat2Quat(turned, np.ascontiguousarray(rotation).ravel())
+    w, x, y, z = map(float, turned)
+    return (w, x, y, z)
+
+
+def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
+    while other > body:
+        other = int(model.body_parentid[other])
+    return other == body
+
+
+def _box(model: mujoco.MjModel, data: mujoco.MjData, geom: int, level: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(3,) lowest and (3,) highest coordinates [m] of a shape's bounding box in the axes ``level``."""
+    rotation = level @ data.geom_xmat[geom].reshape(3, 3)
+    middle = level @ data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
+    half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
+    return middle - half, middle + half

@@ -1,9 +1,11 @@
-"""The robot's actions, as servers in the operator's domain: each goal travels, and ends as it does there."""
+"""The robot's actions as servers in the operator's ROS domain: goals are sent through the link, results returned."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -16,132 +18,191 @@ from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
-from valor.link.classes import Kind
-from valor.link.end import End
+from valor.link.classes import MessageClass
+from valor.link.endpoint import LinkEndpoint
 from valor.link.errors import SealError
-from valor.link_operator.fates import Fates
 from valor.ros.deferred_action_server import DeferredActionServer
+from valor.ros.link_messages import ACTIONS, LinkMessageType, MessageCodec, pack_message
 from valor.ros.node import ProcessNode
-from valor.ros.relayed import ACTIONS, Action, Deflated, Word, worded
 
-_TOLD = {"succeed": "succeeded", "canceled": "canceled", "abort": "aborted"}
+CAPACITY = 8  # commands in the history
+PENDING, ACCEPTED = "pending", "accepted"
+_STATUS = {"succeed": "succeeded", "canceled": "canceled", "abort": "aborted"}
 _STATES = {GoalStatus.STATUS_SUCCEEDED: "succeed", GoalStatus.STATUS_CANCELED: "canceled"}
 _log = logging.getLogger("link_operator")
 
 
-def _refused_mode(_: str) -> Any:
+def _rejected_mode(_: str) -> Any:
     status = ControlModeStatus(status=ControlModeStatus.MODE_REJECTED | ControlModeStatus.ERR_CONTROLLER_NOT_READY)
     return ChangeControlMode.Result(result=status)
 
 
-def _refused_trajectory(why: str) -> Any:
+def _rejected_trajectory(reason: str) -> Any:
     code = FollowJointTrajectory.Result.INVALID_GOAL
-    return FollowJointTrajectory.Result(error_code=code, error_string=why)
+    return FollowJointTrajectory.Result(error_code=code, error_string=reason)
 
 
-def _refused_plan(_: str) -> Any:
+def _rejected_plan(_: str) -> Any:
     result = ExecuteStepPlan.Result()
     result.status.status = FootstepExecutionStatus.ERR_CONTROLLER_NOT_READY
     return result
 
 
-REFUSED: Mapping[Any, Callable[[str], Any]] = {
-    ChangeControlMode: _refused_mode,
-    FollowJointTrajectory: _refused_trajectory,
-    ExecuteStepPlan: _refused_plan,
+REJECTED: Mapping[Any, Callable[[str], Any]] = {
+    ChangeControlMode: _rejected_mode,
+    FollowJointTrajectory: _rejected_trajectory,
+    ExecuteStepPlan: _rejected_plan,
 }
-"""The result of a goal that was not done, by action; where it has no place for the reason, ``/rosout`` has it."""
+"""Result of a rejected goal by action type; if it has no field for the reason, only ``/rosout`` has it."""
+
+
+class CommandHistory:
+    """Name, link id and status of the last commands."""
+
+    def __init__(self) -> None:
+        self._entries: OrderedDict[int, tuple[str, str, float]] = OrderedDict()  # name, status, since [s]
+        self._without_id = 0
+
+    def sent(self, number: int, name: str) -> None:
+        """Add a command with its link id."""
+        self._put(number, name, PENDING)
+
+    def unsent(self, name: str, reason: str) -> None:
+        """Add a command that was not sent."""
+        self._without_id -= 1
+        self._put(self._without_id, name, f"not sent: {reason}")
+
+    def update(self, number: int, status: str) -> None:
+        """Set the status of a command."""
+        if number in self._entries:
+            self._entries[number] = (self._entries[number][0], status, time.monotonic())
+
+    def end_session(self, reason: str) -> None:
+        """End all open commands; link ids start again."""
+        entries, self._entries = list(self._entries.values()), OrderedDict()
+        for name, status, since in entries:
+            self._without_id -= 1
+            self._entries[self._without_id] = (name, reason if status in (PENDING, ACCEPTED) else status, since)
+
+    def name(self, number: int) -> str:
+        """Name of a command; empty if it is not stored."""
+        return self._entries[number][0] if number in self._entries else ""
+
+    def lines(self, now: float) -> dict[str, str]:
+        """Values for ``/link/status``: ``last_command`` and, for earlier ones, ``command_2``, …; ``now`` [s]."""
+        keys = ("last_command", *(f"command_{number}" for number in range(2, CAPACITY + 1)))
+        texts = [
+            f"{name.removesuffix('/follow_joint_trajectory').rsplit('/', 1)[-1]}: {status}, {now - since:.0f} s ago"
+            for name, status, since in reversed(self._entries.values())
+        ]
+        return dict(zip(keys, texts or [""], strict=False))
+
+    def _put(self, number: int, name: str, status: str) -> None:
+        self._entries[number] = (name, status, time.monotonic())
+        while len(self._entries) > CAPACITY:
+            self._entries.popitem(last=False)
 
 
 class Goals:
-    """Goals under way. From the thread that spins the node."""
+    """Active goals. For the thread that spins the node."""
 
-    def __init__(self, node: ProcessNode, end: End, deflated: Deflated, fates: Fates) -> None:
-        self._end, self._deflated, self._fates = end, deflated, fates
-        self._open: dict[int, tuple[int, Any]] = {}  # by the link's id: place in ACTIONS, handle
-        self._let_go: set[int] = set()  # that ended here, and might be accepted there yet
+    def __init__(
+        self,
+        node: ProcessNode,
+        end: LinkEndpoint,
+        codec: MessageCodec,
+        history: CommandHistory,
+        before: Callable[[], str],
+    ) -> None:
+        """``before``: called before a goal is sent; returns the reason not to send it, empty if there is none."""
+        self._end, self._codec, self._history, self._before = end, codec, history, before
+        self._active: dict[int, tuple[int, Any]] = {}  # by link id: index in ACTIONS, handle
+        self._expired: set[int] = set()  # not acknowledged; canceled if the robot accepts them after all
         self._servers = [
             DeferredActionServer(
-                node, each.type, each.name, partial(self._sent, place), self._cancel,
-                late=partial(self._late, each) if node.others else None,
+                node, each.type, each.name, partial(self._send, index), self._cancel,
+                on_late=partial(self._unsent, index) if node.others else None,
             )
-            for place, each in enumerate(ACTIONS)
+            for index, each in enumerate(ACTIONS)
         ]  # fmt: skip
 
-    def _late(self, action: Action, why: str) -> Any:
-        self._fates.unsent(action.name, why)
-        return REFUSED[action.type](why)
+    def _unsent(self, index: int, handle: Any, reason: str) -> None:
+        action = ACTIONS[index]
+        self._history.unsent(action.name, reason)
+        self._servers[index].finish(handle, "abort", REJECTED[action.type](reason))
 
-    def _sent(self, place: int, handle: Any) -> None:
-        content = worded(Word.GOAL, place, self._deflated.pack(handle.request))
-        try:
-            number = self._end.send(Kind.COMMAND, content, time.monotonic())
-        except SealError as error:
-            self._fates.unsent(ACTIONS[place].name, str(error))
-            self._servers[place].finish(handle, "abort", REFUSED[ACTIONS[place].type](str(error)))
+    def _send(self, index: int, handle: Any) -> None:
+        if reason := self._before():
+            self._unsent(index, handle, reason)
             return
-        self._open[number] = (place, handle)
-        self._fates.sent(number, ACTIONS[place].name)
+        content = pack_message(LinkMessageType.GOAL, index, self._codec.pack(handle.request))
+        try:
+            number = self._end.send(MessageClass.COMMAND, content, time.monotonic())
+        except SealError as error:
+            self._unsent(index, handle, str(error))
+            return
+        self._active[number] = (index, handle)
+        self._history.sent(number, ACTIONS[index].name)
 
     def _cancel(self, handle: Any) -> CancelResponse:
-        for number, (_, each) in self._open.items():
+        for number, (_, each) in self._active.items():
             if each.goal_id == handle.goal_id:
-                try:
-                    self._end.send(Kind.COMMAND, worded(Word.CANCEL, number), time.monotonic())
-                except SealError:
-                    return CancelResponse.REJECT
-                return CancelResponse.ACCEPT
+                with contextlib.suppress(SealError):
+                    self._send_cancel(number)
+                    return CancelResponse.ACCEPT
         return CancelResponse.REJECT
 
-    def accepted(self, number: int) -> None:
-        """The robot has begun a goal, or published a message; a goal that was given up here is canceled there."""
-        self._fates.became(number, "begun" if number in self._open else "done")
-        if number in self._let_go:
-            self._let_go.discard(number)
-            self._end.send(Kind.COMMAND, worded(Word.CANCEL, number), time.monotonic())
+    def _send_cancel(self, number: int) -> None:
+        self._end.send(MessageClass.COMMAND, pack_message(LinkMessageType.CANCEL, number), time.monotonic())
 
-    def refuse(self, number: int, why: str) -> None:
-        """A goal, or another command, was not done."""
-        _log.warning("command %d refused: %s", number, why)
-        self._fates.became(number, f"refused: {why}")
-        if (found := self._open.pop(number, None)) is not None:
-            place, handle = found
-            self._servers[place].finish(handle, "abort", REFUSED[ACTIONS[place].type](why))
+    def accepted(self, number: int) -> None:
+        """Process the acceptance of a goal or another command; cancel a goal that has already expired here."""
+        self._history.update(number, ACCEPTED if number in self._active else "done")
+        if number in self._expired:
+            self._expired.discard(number)
+            self._send_cancel(number)
+
+    def reject(self, number: int, reason: str) -> None:
+        """Process the rejection of a goal or another command."""
+        _log.warning("command %d rejected: %s", number, reason)
+        self._history.update(number, f"rejected: {reason}")
+        if (found := self._active.pop(number, None)) is not None:
+            index, handle = found
+            self._servers[index].finish(handle, "canceled", REJECTED[ACTIONS[index].type](reason))
 
     def feedback(self, number: int, feedback: Any) -> Any:
-        """Hand feedback to a goal; returns its id, None: there is no such goal."""
-        if (found := self._open.get(number)) is None:
+        """Publish feedback of a goal; returns the goal's id, None if it is not active."""
+        if (found := self._active.get(number)) is None:
             return None
         found[1].publish_feedback(feedback)
         return found[1].goal_id
 
-    def given_up(self, number: int) -> None:
-        """Nothing has acknowledged it in time."""
-        if number in self._open:
-            self._let_go.add(number)
-        self.refuse(number, "not acknowledged before its deadline")
+    def expired(self, number: int) -> None:
+        """Store a command that was not acknowledged before its deadline."""
+        if number in self._active:
+            self._expired.add(number)
 
     def end(self, number: int, content: bytes) -> None:
-        """The robot's result.
+        """Process the robot's result.
 
         Raises:
-            SealError: it is none.
+            SealError: malformed.
         """
-        if (found := self._open.pop(number, None)) is None:
+        if (found := self._active.pop(number, None)) is None:
             return
-        place, handle = found
-        result = self._deflated.unpack(content[1:], ACTIONS[place].type.Result)
+        index, handle = found
+        result = self._codec.unpack(content[1:], ACTIONS[index].type.Result)
         state = _STATES.get(content[0] if content else 0, "abort")
-        self._fates.became(number, _TOLD[state])
-        self._servers[place].finish(handle, state, result)
+        self._history.update(number, _STATUS[state])
+        self._servers[index].finish(handle, state, result)
 
-    def lose_all(self, why: str) -> None:
-        """A session ended: what becomes of its goals is not told any more."""
-        for number in list(self._open):
-            self.refuse(number, why)
-        self._let_go.clear()
+    def end_session(self, reason: str) -> None:
+        """End all active goals."""
+        for number in list(self._active):
+            self.reject(number, reason)
+        self._expired.clear()
 
     def close(self) -> None:
-        """Take the servers away."""
+        """Destroy the servers."""
         for server in self._servers:
             server.destroy()

@@ -1,44 +1,52 @@
-"""The loop: states in, to ROS; commands of the operator's domain out."""
+"""Loop of the operator's end of the link."""
 
 from __future__ import annotations
 
 import logging
+import math
 import time
+from collections.abc import Callable, Mapping
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from msgspec import structs
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from valor_msgs.msg import Rejection
 
 from valor.common.errors import ConfigurationError
+from valor.common.instance import Link
 from valor.common.linking import ports_to_robot
-from valor.link.bulk.fetcher import Fetcher
-from valor.link.carrier import Carrier
-from valor.link.classes import Kind
-from valor.link.end import Arrived, Began, Event, GivenUp
-from valor.link.ends import OperatorEnd
+from valor.link.classes import MessageClass
+from valor.link.endpoint import Arrived, Event, MessagesExpired, SessionStarted
+from valor.link.endpoints import OperatorEndpoint
 from valor.link.errors import SealError
 from valor.link.fields import Layout
-from valor.link.joining import session
-from valor.link_operator.beyond import Beyond
-from valor.link_operator.fates import Fates
-from valor.link_operator.goals import Goals
-from valor.link_operator.progress import Progress
-from valor.link_operator.republisher import LATCHED, Republisher
-from valor.link_operator.status import status
-from valor.link_operator.things import Things
-from valor.ros.lateness import Info, timely
-from valor.ros.link_loop import serve
+from valor.link.udp_transport import UdpTransport
+from valor.link_operator.goals import CommandHistory, Goals
+from valor.link_operator.republisher import LATCHED, PicturePublisher, Progress, Republisher
+from valor.ros.lateness import Info, reject_late
+from valor.ros.link_loop import create_session, serve
+from valor.ros.link_messages import (
+    COMMANDS,
+    Command,
+    LinkMessageType,
+    MessageCodec,
+    class_of,
+    pack_message,
+    unpack_message,
+)
 from valor.ros.node import ProcessNode, RosSide
-from valor.ros.relayed import COMMANDS, Command, Deflated, Word, kind_of, read, worded
 from valor.ros.transforms import ODOM
 from valor.service import Context
 
-STATUS = 0.2  # between two of them [s]
-AHEAD = 0.25  # of robot time, that is shown without another state [s]
-KEPT = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+STATUS_PERIOD = 0.2  # [s]
+OLD = 1.0  # age of the state from which on the status is a warning [s]
+LONGEST_AHEAD = 0.25  # robot time that is published without another state [s]
+REJECTIONS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+WITH_STOP = "received together with a stop; send it again if it is still wanted"
+_RESTARTED = "the link was restarted; result unknown"
 _log = logging.getLogger("link_operator")
 
 
@@ -49,127 +57,176 @@ class LinkOperator:
         """Join the operator's domain.
 
         Raises:
-            ConfigurationError: there is none, or it is the robot's.
+            ConfigurationError: no domain, or the robot's.
         """
         settings = context.settings
         if settings.link.domain is None or (not settings.hosts and settings.link.domain == settings.ros_domain_id):
             raise ConfigurationError(f"link: domain: got {settings.link.domain}; expected another than the robot's")
         self._context = context
         self._link = settings.link
-        joined = session(context.instance, context.name, context.robot)
-        theirs = structs.replace(settings, ros_domain_id=settings.link.domain)
+        session = create_session(context.instance, context.name, context.robot)
+        operator_settings = structs.replace(settings, ros_domain_id=settings.link.domain)
         environment = context.instance.environment()
-        knowing = partial(ProcessNode, knows_time=True, others=bool(settings.peers))
-        self._side = RosSide(context.name, theirs, environment, context.arguments, node=knowing)
+        make_node = partial(ProcessNode, sets_time=True, others=bool(settings.peers))
+        self._side = RosSide(context.name, operator_settings, environment, context.arguments, node=make_node)
         node, self._layout = self._side.node, Layout(context.robot)
-        self._end = OperatorEnd(joined, self._layout, time.monotonic(), fast=True)
-        self._fetcher = Fetcher(joined, context.instance.fetched)
+        self._end = OperatorEndpoint(session, self._layout, time.monotonic(), fast=True, rate=settings.link.rate)
         others = [(self._link.robot, port) for port in ports_to_robot(settings)]
-        self._carrier = Carrier(self._end, other=others, things=self._fetcher)
-        self._things = Things(node, self._end, self._fetcher)
-        self._deflated = Deflated(context.robot)
+        self._transport = UdpTransport(self._end, other=others)
+        self._picture = PicturePublisher(node, self._end)
+        self._codec = MessageCodec(context.robot)
         self._republisher = Republisher(node, context.robot, settings)
-        self._fates = Fates()
-        self._goals = Goals(node, self._end, self._deflated, self._fates)
+        self._history = CommandHistory()
+        self._waiting: list[tuple[int, Callable[[], None]]] = []  # commands with their times of reception [ns]
+        self._stopped = False  # whether a stop has been received since the last turn
+        self._goals = Goals(node, self._end, self._codec, self._history, self._send_waiting)
         self._progress = Progress(node, f"{settings.frame_prefix}{ODOM}", self._goals.feedback)
-        self._beyond = Beyond(context.node, self._end)
-        self._rejections = node.create_publisher(Rejection, "flor/controller/rejection", KEPT)
+        self._rejections = node.create_publisher(Rejection, "flor/controller/rejection", REJECTIONS)
         self._status = node.create_publisher(DiagnosticStatus, "link/status", LATCHED)
-        for place, command in enumerate(COMMANDS):
-            obeyed = timely(command.name, partial(self._send, place, command), others=node.others)
-            node.create_subscription(command.type, command.name, obeyed, 10)
-        self._published, self._shown, self._told = -1, (0, 0.0), 0.0
+        for index, command in enumerate(COMMANDS):
+            receive = reject_late(command.name, partial(self._receive, index, command), others=node.others)
+            node.create_subscription(command.type, command.name, receive, 10)
+        self._published_clock, self._shown, self._status_at = -1, (0, 0.0), 0.0
         self._time = 0
-        self._side.life.configured()
+        self._side.life.configure()
 
     def run(self) -> None:
-        """Serve until told to stop."""
-        serve(self._context, self._side, self._end, self._carrier, self._turn)
+        """Serve until the process is stopped."""
+        serve(self._context, self._side, self._end, self._transport, self._turn)
 
     def _turn(self, now: float) -> None:
+        self._send_waiting()
+        self._stopped = False
         for event in self._end.events():
-            self._hear(event)
-        self._beyond.turn()
-        self._show(now)
-        self._things.turn(now)
+            self._process(event)
+        self._publish_state(now)
+        self._picture.turn(now)
+        if now - self._status_at >= STATUS_PERIOD:
+            self._status_at = now
+            self._status.publish(status(self._end, self._layout, self._link, now, self._history.lines(now)))
 
-    def _show(self, now: float) -> None:
+    def _publish_state(self, now: float) -> None:
         state = self._end.state
-        if state is not None and state.clock != self._published:
-            self._published, self._shown = state.clock, (state.stamp, now)
+        if state is not None and state.clock != self._published_clock:
+            self._published_clock, self._shown = state.clock, (state.stamp, now)
             self._time = max(self._time, state.stamp * 10**6)
-            self._side.node.tell_time(self._time)
+            self._side.node.set_time(self._time)
             self._republisher.tick(self._time)
             self._republisher.publish(state)
         elif state is not None:
-            ahead = min(now - self._shown[1], AHEAD)
+            ahead = min(now - self._shown[1], LONGEST_AHEAD)
             self._time = max(self._time, self._shown[0] * 10**6 + round(1e9 * ahead))
             self._republisher.tick(self._time)
-        if now - self._told >= STATUS:
-            self._told = now
-            told = self._fates.lines(now) | self._things.values(now)
-            self._status.publish(status(self._end, self._layout, self._link, now, told))
 
-    def _send(self, place: int, command: Command, message: Any, _info: Info) -> None:
-        content = worded(Word.TOPIC, place, self._deflated.pack(message))
-        kind, now = kind_of(command, message), time.monotonic()
+    def _receive(self, index: int, command: Command, message: Any, info: Info) -> None:
+        """Send a stop at once; other commands wait until all that has been received with them is known."""
+        kind = class_of(command, message)
+        content = pack_message(LinkMessageType.TOPIC, index, self._codec.pack(message))
+        if kind is MessageClass.STOP:
+            self._send(command.name, kind, content)
+            self._stopped = True
+        else:
+            self._waiting.append(
+                (info.get("received_timestamp") or 0, partial(self._send, command.name, kind, content))
+            )
+
+    def _send_waiting(self) -> str:
+        """Send waiting commands in the order of reception; returns the reason to reject commands, empty if none."""
+        waiting, self._waiting = self._waiting, []
+        for _, send in sorted(waiting, key=itemgetter(0)):
+            send()
+        return WITH_STOP if self._stopped else ""
+
+    def _send(self, topic: str, kind: MessageClass, content: bytes) -> None:
+        now = time.monotonic()
         try:
-            if kind is Kind.STREAM:
+            if self._stopped and kind is not MessageClass.STOP:
+                raise SealError(WITH_STOP)
+            if kind is MessageClass.STREAM:
                 self._end.stream(kind, content, now)
             else:
-                self._fates.sent(self._end.send(kind, content, now), command.name)
+                self._history.sent(self._end.send(kind, content, now), topic)
         except SealError as error:
-            self._fates.unsent(command.name, str(error))
-            self._refuse(command.name, str(error))
+            self._history.unsent(topic, str(error))
+            self._publish_rejection(topic, f"not sent: {error}")
 
-    def _refuse(self, topic: str, why: str) -> None:
-        _log.warning("%s not sent: %s", topic, why)
-        self._rejections.publish(Rejection(topic=topic, origin="link_operator", reason=why))
+    def _reject(self, number: int, reason: str) -> None:
+        name = self._history.name(number)
+        self._goals.reject(number, reason)
+        self._publish_rejection(name or "link", f"command {number}: {reason}")
 
-    def _hear(self, event: Event) -> None:
-        if isinstance(event, Began):
+    def _publish_rejection(self, topic: str, reason: str) -> None:
+        _log.warning("%s %s", topic, reason)
+        self._rejections.publish(Rejection(topic=topic, origin="link_operator", reason=reason))
+
+    def _process(self, event: Event) -> None:
+        if isinstance(event, SessionStarted):
             _log.info("session %d with the robot's end", self._end.session.number)
-            self._goals.lose_all("the link began anew; what becomes of it is not known")
-            self._fates.lose_all("the link began anew; what became of it is not known")
-            self._beyond.lose_all("the link began anew; what became of it is not known")
-        elif isinstance(event, GivenUp):
+            self._goals.end_session(_RESTARTED)
+            self._history.end_session(_RESTARTED)
+        elif isinstance(event, MessagesExpired):
             for number in event.ids:
-                if self._beyond.lost(number, "not acknowledged by the robot's side before its deadline"):
-                    continue
-                name = self._fates.name(number)
-                self._goals.given_up(number)
-                self._refuse(name or "link", f"command {number}: not acknowledged before its deadline")
+                self._goals.expired(number)
+                self._reject(number, "not acknowledged before its deadline")
         elif isinstance(event, Arrived):
             self._take(event)
 
     def _take(self, arrived: Arrived) -> None:
         try:
-            word, number, content = read(arrived.content)
-            if word is Word.ACCEPTED:
+            type_, number, content = unpack_message(arrived.content)
+            if type_ is LinkMessageType.ACCEPTED:
                 self._goals.accepted(number)
-                self._beyond.accepted(number)
-            elif word is Word.REFUSED:
-                why = content.decode(errors="replace")
-                if not self._beyond.lost(number, f"refused: {why}"):
-                    self._goals.refuse(number, why)
-            elif word is Word.SAID:
-                self._beyond.ended(number, content)
-            elif word is Word.RESULT:
+            elif type_ is LinkMessageType.REFUSED:
+                self._reject(number, content.decode(errors="replace"))
+            elif type_ is LinkMessageType.RESULT:
                 self._goals.end(number, content)
-            elif word is Word.TOLD:
-                self._rejections.publish(self._deflated.unpack(content, Rejection))
-            elif word is Word.STEPS:
+            elif type_ is LinkMessageType.REJECTION:
+                self._rejections.publish(self._codec.unpack(content, Rejection))
+            elif type_ is LinkMessageType.STEPS:
                 self._progress.steps(content)
-            elif word is Word.PROGRESS:
+            elif type_ is LinkMessageType.PROGRESS:
                 self._progress.plan(number, content)
-            elif word is Word.HAND:
+            elif type_ is LinkMessageType.HAND:
                 self._progress.hand(number, content)
         except SealError as error:
             _log.warning("%s of the robot's end: %s", arrived.kind.name, error)
 
     def close(self) -> None:
-        """Leave ROS; the robot does what it did."""
-        self._carrier.close()
-        self._fetcher.close()
+        """Leave ROS; the robot continues."""
+        self._transport.close()
         self._goals.close()
         self._side.close()
+
+
+def status(
+    end: OperatorEndpoint, layout: Layout, link: Link, now: float, commands: Mapping[str, str]
+) -> DiagnosticStatus:
+    """``/link/status`` at the monotonic time ``now`` [s]; ages are upper bounds [s].
+
+    ``link`` has the reaction to a lost operator, ``commands`` is of ``CommandHistory.lines``.
+    """
+    state = end.state
+    message = DiagnosticStatus(name="link")
+    if state is None or not end.session.established:
+        message.level = DiagnosticStatus.ERROR
+        message.message = end.session.mismatch or "no datagram of the robot's end has been received"
+        message.values = [KeyValue(key=key, value=value) for key, value in commands.items()]
+        return message
+    age, silence, picture_age = end.age(now), end.silence(now), end.picture_age(now)
+    message.level = DiagnosticStatus.WARN if age > OLD else DiagnosticStatus.OK
+    message.message = f"no datagram of the robot's end for {silence:.1f} s" if silence > OLD else "connected"
+    clamped = [name for name, part in layout.slices.items() if state.clamped[part].any()]
+    values = {
+        "state_age": f"{age:.3f}", "stamp": f"{1e-3 * state.stamp:.3f}",
+        "mode": state.mode, "mode_age": f"{state.mode_age + age:.3f}",
+        "behavior": state.behavior, "behavior_age": f"{state.behavior_age + age:.3f}",
+        "velocity_age": f"{state.velocity_age + age:.3f}",
+        **({"picture_age": f"{picture_age:.3f}"} if picture_age < math.inf else {}),
+        "step": str(state.step), "clamped_fields": " ".join(clamped), "fast_channel": str(end.fast(now)).lower(),
+        **commands, "states": str(end.states),
+        "when_lost": link.when_lost, "lost_after": f"{link.lost_after:g}",
+        **{f"sent.{name}": f"{rate:.0f} B/s" for name, rate in sorted(end.meter.rates(now).items())},
+        **{f"received.{name}": f"{rate:.0f} B/s" for name, rate in sorted(end.received_meter.rates(now).items())},
+    }  # fmt: skip
+    message.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return message

@@ -1,1 +1,1 @@
-"""The robot's end of the link: tells its state, obeys what comes in time. To the robot it is a client like others."""
+"""Robot's end of the link, a ROS 2 client: sends the state, executes commands received in time."""

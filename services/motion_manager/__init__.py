@@ -1,1 +1,1 @@
-"""Motion Manager: behaviors, command handlers, and who has the joints; the one writer of ``motion_manager/motor``."""
+"""Motion Manager: behaviors, command handlers and joint control; the only publisher of ``motion_manager/motor``."""

@@ -1,7 +1,7 @@
-"""The Motion Manager without its sockets: Proprioceptor in, Motor and MotionState out.
+"""Motion Manager without sockets: Proprioceptor in, Motor and MotionState out.
 
-One period: watchdogs → estimate → state machines → reference → control → Motor. Whatever happens on the way, a Motor
-leaves for every Proprioceptor.
+One period: watchdogs → estimate → state machines → reference → control → Motor. Every Proprioceptor gets a Motor, also
+after an error.
 """
 
 from __future__ import annotations
@@ -13,30 +13,26 @@ import numpy as np
 from valor.common.behaviors import Behavior, Locomotion, Manipulation
 from valor.common.messages import MotionState, Motor, Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
-from valor.motion_manager.parts import Parts
-from valor.motion_manager.safety.custody import BROUGHT_TO_STAND
+from valor.motion_manager.components import Components
+from valor.motion_manager.safety import BROUGHT_TO_STAND
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 from valor.whole_body.state import RobotState
 from valor.whole_body.watchdog import ProprioceptorWatchdog
 
-FAULTY = 0.01  # without a believable Proprioceptor, or with errors of ours, before the robot is let go [s]
-LOGGED = 10.0  # between lines on errors that go on [s]
-LONGEST_PERIOD = 0.02  # of periods that were missed, so much is made up for [s]
+FAULTY = 0.01  # duration of malformed Proprioceptors or internal errors before Fall [s]
+LOGGED = 10.0  # interval of log lines on continued errors [s]
+LONGEST_PERIOD = 0.02  # longest time step, after missed periods [s]
 
 _log = logging.getLogger("motion_manager")
 
 
 class MotionManager:
-    """Everything between one Proprioceptor and the Motor that answers it.
-
-    Attributes:
-        parts: what it is made of.
-    """
+    """Control of a robot, one period after the other."""
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
-        self.parts = parts = Parts(robot, model)
-        self.fsm, self.custody, self.rejections = parts.fsm, parts.custody, parts.rejections
+        self.components = components = Components(robot, model)
+        self.fsm, self.authority, self.rejections = components.fsm, components.authority, components.rejections
         self._dt = robot.control_period
         self._most_faults, self._errors_a_line = round(FAULTY / self._dt), round(LOGGED / self._dt)
         self._watchdog = ProprioceptorWatchdog(len(robot.joints))
@@ -44,132 +40,126 @@ class MotionManager:
         self._proprioceptor_sequence = 0
         self._errors = 0  # consecutive
 
-    # --- for the loop ---------------------------------------------------------------------------------------------
-
     @property
     def time(self) -> int:
         """Robot time [ns]."""
-        return self.parts.time
+        return self.components.time
 
     @property
     def missed(self) -> int:
-        """Proprioceptors that were not seen, since start."""
+        """Number of missed Proprioceptors since start."""
         return self._watchdog.missed
 
     def tick(self, proprioceptor: Proprioceptor) -> Motor:
-        """The Motor that answers a Proprioceptor."""
-        self.parts.balance.command = None
+        """Compute the Motor for a Proprioceptor."""
+        self.components.balance.command = None
         try:
             self._control(proprioceptor)
             self._errors = 0
         except Exception:
             self._errors += 1
             if self._errors == 1 or self._errors % self._errors_a_line == 0:
-                _log.exception("error in a control period; the last command goes on with damping")
+                _log.exception("error in a control period; repeating the last command with damping")
             self._repeat()
             if self._errors >= self._most_faults:
-                self.custody.fall("errors of the Motion Manager, see its log")
+                self.authority.fall("errors of the Motion Manager, see its log")
         self._sequence += 1
         self._proprioceptor_sequence = proprioceptor.sequence
-        behavior = self.custody.announced(self.time)
-        return self.parts.command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, behavior)
+        behavior = self.authority.motor_behavior(self.time)
+        return self.components.command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, behavior)
 
     def report(self, motor_time: float = 0.0, tick_time: float = 0.0) -> MotionState:
-        """What the Motion Manager did and believes; the times are those that ``MotionState`` has fields for [s]."""
-        return self.parts.report(self._proprioceptor_sequence, motor_time=motor_time, tick_time=tick_time)
-
-    # --- one period -----------------------------------------------------------------------------------------------
+        """State after the last period; for the times see ``MotionState`` [s]."""
+        return self.components.report(self._proprioceptor_sequence, motor_time=motor_time, tick_time=tick_time)
 
     def _control(self, proprioceptor: Proprioceptor) -> None:
-        parts = self.parts
+        components = self.components
         if fault := self._watchdog.fault(proprioceptor):
             self.rejections.add(PROPRIOCEPTOR.name, "comms_manager", "malformed", fault)
             if self._watchdog.malformed >= self._most_faults:
-                self.custody.fall(f"{self._watchdog.malformed} consecutive Proprioceptors malformed: {fault}")
+                self.authority.fall(f"{self._watchdog.malformed} consecutive Proprioceptors malformed: {fault}")
             self._repeat()
             return
         if self._watchdog.repeated(proprioceptor):
             return
-        before, parts.time = parts.time, proprioceptor.time
-        if (taken := self._take(proprioceptor)) is None:
-            self._stand_aside(proprioceptor)
+        before, components.time = components.time, proprioceptor.time
+        if (acquired := self._acquire(proprioceptor)) is None:
+            self._yield(proprioceptor)
             return
-        state, taken_over = taken
+        state, is_new = acquired
         self._decide(proprioceptor, state)
-        # Of periods that were missed, some are made up for.
-        dt = self._dt if taken_over else min(max((parts.time - before) * 1e-9, self._dt), LONGEST_PERIOD)
+        dt = self._dt if is_new else min(max((components.time - before) * 1e-9, self._dt), LONGEST_PERIOD)
         self._move(proprioceptor, state, dt)
-        self.custody.ours = True
+        self.authority.in_control = True
 
-    def _take(self, proprioceptor: Proprioceptor) -> tuple[RobotState, bool] | None:
-        """Where the robot is, and whether it was taken over just now; None: somebody else leads it."""
-        parts, custody = self.parts, self.custody
+    def _acquire(self, proprioceptor: Proprioceptor) -> tuple[RobotState, bool] | None:
+        """The robot's state, and whether control was acquired in this period; None while the reflex is in control."""
+        components, authority = self.components, self.authority
         gap = self._watchdog.discontinuity(proprioceptor)
-        was_aside = custody.aside
-        if custody.stand_aside(proprioceptor.motor_behavior):
+        yielded = authority.yielding
+        if authority.yield_to_reflex(proprioceptor.motor_behavior):
             return None
-        if was_aside:
+        if yielded:
             gap = gap or BROUGHT_TO_STAND
-        taken_over = gap is not None or not custody.ours
-        if taken_over:
-            parts.estimator.reset()
-            parts.detector.reset()
-        state = parts.state = parts.estimator.update(proprioceptor)
-        custody.take_over(proprioceptor.motor_behavior, parts.time, gap, state)
-        if taken_over and self.fsm.locomotion is not Locomotion.FALL:
-            parts.drivers.let_go(self.fsm.locomotion)
-        return state, taken_over
+        is_new = gap is not None or not authority.in_control
+        if is_new:
+            components.estimator.reset()
+            components.detector.reset()
+        state = components.state = components.estimator.update(proprioceptor)
+        authority.acquire(proprioceptor.motor_behavior, components.time, gap, state)
+        if is_new and self.fsm.locomotion is not Locomotion.FALL:
+            components.drivers.reset_driver(self.fsm.locomotion)
+        return state, is_new
 
-    def _stand_aside(self, proprioceptor: Proprioceptor) -> None:
-        """Somebody else has the joints. Should the robot be ours in the next moment, they stay where they are."""
-        parts = self.parts
-        if parts.drivers.current is not None:
-            parts.drivers.let_go(Locomotion.IDLE)
-            parts.controller.leave()
+    def _yield(self, proprioceptor: Proprioceptor) -> None:
+        """Command the measured joint positions, for the case that control returns in the next period."""
+        components = self.components
+        if components.drivers.current is not None:
+            components.drivers.reset_driver(Locomotion.IDLE)
+            components.controller.leave()
         zeros = np.zeros_like(proprioceptor.joint_position)
-        parts.command.hold(proprioceptor.joint_position, zeros, proprioceptor.joint_effort)
+        components.command.hold(proprioceptor.joint_position, zeros, proprioceptor.joint_effort)
 
     def _decide(self, proprioceptor: Proprioceptor, state: RobotState) -> None:
-        """Which states the machines are in for this period, and who drives in them."""
-        parts, now = self.parts, self.time * 1e-9
+        components, now = self.components, self.time * 1e-9
         self._watch(state)
-        self.custody.resume(proprioceptor.motor_behavior, state)
-        parts.device_reactions.update()
-        parts.drivers.proceed(state, now)
-        parts.upper_body.enter(self.fsm.manipulation, self.fsm.attention, now)
-        parts.drivers.change(state, now)
+        self.authority.resume(proprioceptor.motor_behavior, state)
+        components.device_reactions.update()
+        components.drivers.proceed(state, now)
+        components.upper_body.enter(self.fsm.manipulation, self.fsm.attention, now)
+        components.drivers.change(state, now)
 
     def _watch(self, state: RobotState) -> None:
-        """Fall, when balance is lost."""
-        parts, locomotion = self.parts, self.fsm.locomotion
-        parts.falling = ""
+        components, locomotion = self.components, self.fsm.locomotion
+        components.falling = ""
         if locomotion.balancing or locomotion is Locomotion.STAND_PREP:
-            parts.falling = parts.detector.update(state, parts.controller.footholds(state)) or ""
-            if parts.falling and locomotion.balancing:
-                self.custody.fall(parts.falling)
+            components.falling = components.detector.update(state, components.controller.footholds(state)) or ""
+            if components.falling and locomotion.balancing:
+                self.authority.fall(components.falling)
 
     def _move(self, proprioceptor: Proprioceptor, state: RobotState, dt: float) -> None:
-        """Advance what is wanted of the joints, and fill the command."""
-        parts, now = self.parts, self.time * 1e-9
-        parts.upper_body.update(now)
-        parts.hand_contacts.update(proprioceptor)
-        parts.hand_loads.update(proprioceptor, state, parts.hand_contacts, now)
-        if parts.hand_goals.active and self.fsm.manipulation is not Manipulation.TELEOP:
-            parts.hand_goals.release_all(f"the behavior is {self.fsm.behavior}")
-        for side, force in enumerate(parts.hand_loads.resisted):
+        """Advance the joint reference, and fill the command."""
+        components, now = self.components, self.time * 1e-9
+        components.upper_body.update(state.joint_position, now)
+        components.hand_contacts.update(proprioceptor)
+        components.hand_loads.update(proprioceptor, state, components.hand_contacts, now)
+        if components.hand_goals.active and self.fsm.manipulation is not Manipulation.TELEOP:
+            components.hand_goals.release_all(f"the behavior is {self.fsm.behavior}")
+        for side, force in enumerate(components.hand_loads.resisted):
             if force:
-                reason = f"it presses with {force:.0f} N; expected at most {parts.robot.tables.hands.most_pressing:g} N"
-                parts.hand_goals.give_way(side, reason, state.joint_position, now)
-        parts.hand_goals.advance(state, state.joint_position, now, dt)
-        parts.reference.advance(now, dt)
-        parts.balance.recover(parts.hand_contacts)
-        parts.drivers.drive(state, now, dt)
+                most = components.robot.tables.hands.most_pressing
+                reason = f"it presses with {force:.0f} N; expected at most {most:g} N"
+                components.hand_goals.give_way(side, reason, state.joint_position, now)
+        components.hand_goals.advance(state, state.joint_position, now, dt)
+        components.reference.advance(now, dt)
+        components.balance.recover()
+        components.drivers.drive(state, now, dt)
 
     def _repeat(self) -> None:
-        """A period without a command of its own: the last one, damped; limp once the robot is in Fall."""
-        parts = self.parts
+        """Repeat the last command with damping; in Fall, command damping only."""
+        components = self.components
         if self.fsm.behavior is Behavior.FALL:
-            parts.drivers.go_limp()
-            parts.command.limp(parts.command.position)
+            components.drivers.go_limp()
+            components.command.limp(components.command.position)
         else:
-            parts.command.repeat()
+            components.command.repeat()

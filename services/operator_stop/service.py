@@ -1,118 +1,189 @@
-"""Serves the button and does what it says: from the browser over HTTP to here, and over Bifrost to the robot.
+"""The operator's page: STOP and the robot's state, above a frame with the view that ``operator_station`` serves.
 
-Neither the operator station, nor ROS, nor the Valor ROS Controller is on the way. Whoever sees the page may stop the
-robot; nobody can do anything else here. A page of somebody else's in the same browser is refused: its ``Origin``, or
-the ``Host`` it came by, is another.
+STOP goes from the browser by HTTP to this process, and by Bifrost to the robot: without operator station, ROS and VRC.
+Any client that can open the page can stop the robot. Requests by pages of another origin are rejected.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import logging
+import socket
 import threading
 import time
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
 
-import bifrost
 from valor.common.errors import ConfigurationError
-from valor.common.stopping import HALT, MotionSystem
-from valor.common.viewing import LOOPBACK, Viewing, own_names, stop_port
-from valor.door.serving import Guard, inside
-from valor.operator_stop.page import PAGE
+from valor.common.linking import behind
+from valor.common.topics import STATISTICS
+from valor.common.viewing import LOOPBACK, own_names, page_port, scene_port
+from valor.operator_stop.robot import BifrostRobot
 from valor.service import Context
 
-_LOOK = 0.25  # [s]
+_POLL_PERIOD = 0.1  # of the robot's state [s]
+_WITHIN = 0.7  # time in which a request for a stop is answered: the page shows it within 1 s [s]
+_IDLE = 2.0  # timeout of a connection without a request [s]
+_CONNECTIONS = 64  # without a request, at most; a further one ends the oldest
+_SILENT = 3.0  # age of the statistics without which the view is not running [s]
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+}
 _log = logging.getLogger("operator_stop")
 
 
 class OperatorStop:
-    """One HTTP server on the loopback interface; beyond it behind a door of its own."""
+    """One HTTP server on the loopback interface."""
 
     def __init__(self, context: Context) -> None:
-        """Listen.
-
-        Raises:
-            ConfigurationError: the port is another's.
-        """
+        """Listen; raises ``ConfigurationError`` if another process has the port."""
         self._stopping, self._statistics = context.stopping, context.statistics
-        port = stop_port(context.settings)
-        within = inside(Viewing.of(context.instance), port)
+        port = page_port(context.settings)
+        self._robot: Any = BifrostRobot(context.node)
+        if behind(context.settings):
+            from valor.operator_stop.linked_robot import LinkedRobot
+
+            self._robot = LinkedRobot(context)
         try:
-            self._server = _Server(within, context.node)
+            self._server = _Server(port, scene_port(context.settings), self._robot)
         except OSError as error:
-            raise ConfigurationError(f"port {within} of {LOOPBACK}: {error.strerror}") from None
-        self._guard = Guard(context.instance, context.settings, port, within)
+            self._robot.close()
+            raise ConfigurationError(f"port {port} of {LOOPBACK}: {error.strerror}") from None
+        self._station = STATISTICS["operator_station"].subscriber(context.node)
 
     def run(self) -> None:
-        """Serve until told to stop."""
+        """Serve until the process is stopped."""
         self._statistics.state("ready")
-        while not self._stopping.is_set():
-            self._server.handle_request()
+        server = threading.Thread(target=self._server.serve_forever, name="server", daemon=True)
+        server.start()
+        while not self._stopping.wait(_POLL_PERIOD):
+            self._robot.turn()
+            if (told := self._station.latest()) is not None and told.message.state == "ready":
+                self._server.scene_seen = time.monotonic()
             self._statistics.idle()
+        self._server.shutdown()
 
     def close(self) -> None:
-        """Listen no longer."""
-        self._guard.close()
+        """Close the server."""
         self._server.server_close()
+        self._robot.close()
+
+
+class _Stop:
+    """One stop of the robot, in a thread; ``result``: whether it is confirmed, and a text, None before its end."""
+
+    def __init__(self, robot: Any) -> None:
+        self._robot = robot
+        self.result: tuple[bool, str] | None = None
+        self.ended = threading.Event()
+        threading.Thread(target=self._run, name="stop", daemon=True).start()
+
+    def _run(self) -> None:
+        try:
+            self.result = self._robot.stop()
+        except Exception as error:
+            _log.exception("the stop failed")
+            self.result = False, f"NOT confirmed: {error}; use the robot's own stop"
+        _log.warning("%s", self.result[1])
+        self.ended.set()
+
+    def as_json(self) -> dict[str, Any]:
+        confirmed, text = self.result or (False, "NOT confirmed yet: the stop is repeated")
+        return {"confirmed": confirmed, "text": text}
 
 
 class _Server(ThreadingHTTPServer):
-    """Each request in a thread; one stop at a time."""
+    """Each connection in a thread; requests during a stop join it."""
 
-    timeout = _LOOK
     daemon_threads = True
+    request_queue_size = 256
 
-    def __init__(self, port: int, node: bifrost.Node) -> None:
+    def __init__(self, port: int, scene: int, robot: Any) -> None:
         super().__init__((LOOPBACK, port), _Handler)
         self.names = own_names(port)
-        self._node = node
-        self._one = threading.Lock()
+        self.page = (Path(__file__).parent / "page.html").read_text().replace("{scene_port}", str(scene))
+        self.scene_seen = float("-inf")
+        self._robot = robot
+        self._stop: _Stop | None = None
+        self._lock = threading.Lock()
+        self._idle: dict[socket.socket, None] = {}  # connections without a request, oldest first
 
-    def stop_robot(self) -> tuple[bool, str]:
-        """Whether the robot is confirmed to have stopped, and what to say."""
-        began = time.monotonic()
-        with self._one, MotionSystem(self._node, HALT, began) as system:
-            system.advance()
-            while not (state := system.confirmed()) and time.monotonic() - began < HALT.longest:
-                system.wait()
-                system.advance()
-            after = time.monotonic() - began
-            text = (
-                f"stopped after {after:.2f} s: {state}" if state else f"not confirmed to have stopped: {system.seen()}"
-            )
-        _log.warning("%s", text)
-        return bool(state), text
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Handle a connection; too many idle ones end the oldest."""
+        self._idle[request] = None
+        if len(self._idle) > _CONNECTIONS and (oldest := next(iter(self._idle), None)) is not None:
+            self.requested(oldest)
+            with contextlib.suppress(OSError):
+                oldest.shutdown(socket.SHUT_RDWR)  # its thread closes it
+        super().process_request(request, client_address)
+
+    def requested(self, connection: socket.socket) -> None:
+        """Note that a connection is not idle any more."""
+        self._idle.pop(connection, None)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self.requested(request)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Ignore connections that end early."""
+
+    def state(self) -> dict[str, Any]:
+        """Return the robot's state, whether the view runs, and the last stop."""
+        state: dict[str, Any] = self._robot.state()
+        return state | {
+            "scene": time.monotonic() - self.scene_seen < _SILENT,
+            "stop": self._stop and self._stop.as_json(),
+        }
+
+    def stop(self) -> dict[str, Any]:
+        """Stop the robot; returns what is known of it in time."""
+        with self._lock:
+            if self._stop is None or self._stop.ended.is_set():
+                self._stop = _Stop(self._robot)
+            stop = self._stop
+        stop.ended.wait(_WITHIN)
+        return stop.as_json()
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """GET: the page; POST /stop: stop."""
+    """GET /: the page; GET /state: the robot's state; POST /stop: stop."""
 
     server: _Server
     protocol_version = "HTTP/1.0"
+    timeout = _IDLE
 
     def do_GET(self) -> None:
-        """The page."""
-        if self._own():
-            self._answer(HTTPStatus.OK, PAGE, "text/html")
-
-    def do_HEAD(self) -> None:
-        """Whether anybody is there."""
-        self.do_GET()
+        """The page, or the state."""
+        if not self._own():
+            return
+        if self.path == "/":
+            self._answer(HTTPStatus.OK, self.server.page, "text/html")
+        elif self.path == "/state":
+            self._answer(HTTPStatus.OK, json.dumps(self.server.state()), "application/json")
+        else:
+            self._answer(HTTPStatus.NOT_FOUND, f"{self.path}: expected / or /state", "text/plain")
 
     def do_POST(self) -> None:
         """Stop the robot."""
         if not self._own():
             return
-        if self.path != "/stop":
+        if self.path == "/stop":
+            self._answer(HTTPStatus.OK, json.dumps(self.server.stop()), "application/json")
+        else:
             self._answer(HTTPStatus.NOT_FOUND, f"{self.path}: expected /stop", "text/plain")
-            return
-        stopped, text = self.server.stop_robot()
-        self._answer(HTTPStatus.OK if stopped else HTTPStatus.SERVICE_UNAVAILABLE, text, "text/plain")
 
     def _own(self) -> bool:
-        """Whether the request is of our own page, by the names under which we are reached; else it is refused."""
-        host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
-        if host in self.server.names and origin in (None, f"http://{host}"):
+        """Whether the request is from this page; else reject it."""
+        self.server.requested(self.connection)
+        hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
+        if len(hosts) == 1 and hosts[0] in self.server.names and origins in ([], [f"http://{hosts[0]}"]):
             return True
         self._answer(HTTPStatus.FORBIDDEN, "not from a page of another origin", "text/plain")
         return False
@@ -120,11 +191,11 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, status: HTTPStatus, text: str, kind: str) -> None:
         body = text.encode()
         self.send_response(status)
-        self.send_header("Content-Type", f"{kind}; charset=utf-8")
-        self.send_header("Content-Length", str(len(body)))
+        headers = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body))} | _HEADERS
+        for name, value in headers.items():
+            self.send_header(name, value)
         self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(body)
+        self.wfile.write(body)
 
     def log_message(self, format: str, *arguments: object) -> None:
-        """Requests are no news; stops are logged."""
+        """Log nothing: stops are logged by the server."""

@@ -1,12 +1,9 @@
-"""The two-command behavior transition (thesis section 4.2.2, figure 4.3).
+"""Two-command behavior transition (thesis section 4.2.2, figure 4.3).
 
-A manipulation behavior is entered from its base behavior only, so every control mode is reached by two commands: the
-base, and once the Motion System is there, the base again or its manipulation variant. Here stands only what follows
-what; asking and listening are the interface's.
-
-The Motion System speaks in two ways, and either may be late: it answers a command with the behavior that it is in
-then, and it reports its behavior every period. An answer is enough to go on with the second command; done is what has
-been reported.
+A manipulation behavior is entered only from its base behavior, so every control mode is reached by two commands: the
+base, then the base again or its manipulation variant. The Motion System replies to a command with its behavior at that
+time, and reports its behavior every period; either may be late. A reply is sufficient for the second command; the
+transition is done when the behavior is reported.
 """
 
 from __future__ import annotations
@@ -16,37 +13,25 @@ from enum import Enum, auto
 
 from valor.common.behaviors import Obstacle
 
-REPORT_TIMEOUT = 3.0
-"""How long the Motion System may take to report a behavior that it accepted [s]."""
-WAIT = 45.0
-"""For so long a command is repeated that the Motion System refuses for something that passes by itself [s]."""
-AGAIN = 0.1
-"""So often [s]."""
+REPORT_TIMEOUT = 3.0  # from acceptance of a behavior to its report [s]
+WAIT = 45.0  # longest repetition of a command rejected for a temporary obstacle [s]
+RETRY_PERIOD = 0.1  # of the repetition [s]
 
 
 @dataclass(frozen=True)
 class BehaviorAnswer:
-    """What became of one command.
+    """Reply to one command."""
 
-    Attributes:
-        number: of the command that is answered.
-        accepted: by the Motion Manager.
-        reason: why not.
-        obstacle: what kind of reason.
-        behavior: that the Motion Manager is in; empty: not known.
-        silent: no answer came at all.
-    """
-
-    number: int
+    number: int  # of the command
     accepted: bool
-    reason: str
-    behavior: str = ""
-    silent: bool = False
-    obstacle: str = Obstacle.NONE
+    reason: str  # of a rejection
+    behavior: str = ""  # current one of the Motion Manager; empty: unknown
+    silent: bool = False  # no reply was received
+    obstacle: str = Obstacle.NONE  # kind of the reason
 
 
 class TransitionState(Enum):
-    """How far a transition is."""
+    """Progress of a transition."""
 
     PROCESSING = auto()
     DONE = auto()
@@ -54,98 +39,82 @@ class TransitionState(Enum):
 
 
 class BehaviorTransition:
-    """One pair of commands under way.
-
-    Attributes:
-        state: how far it is.
-        reason: why it failed.
-        obstacle: what kind of refusal it failed for.
-        waits_for: what must pass before the present command is accepted; empty: nothing known.
-        silent: it failed because nobody answered.
-        diverted: it failed because the Motion System went elsewhere on its own.
-    """
+    """Pair of commands in progress: base behavior, then the base or its variant."""
 
     def __init__(
         self, commands: tuple[str, str], first_number: int, behavior: str, replaced: BehaviorTransition | None = None
     ) -> None:
-        """Prepare to go.
+        """Prepare the commands, numbered from ``first_number``.
 
-        Args:
-            commands: the base behavior, then the base or its variant.
-            first_number: the number of the first command; the second has the next.
-            behavior: reported now.
-            replaced: the transition that this one puts an end to. What it has asked for may still take effect, and
-                is no news when it does.
+        ``behavior``: currently reported; ``replaced``: transition that this one ends, which may still take effect.
         """
-        self.state = TransitionState.PROCESSING
-        self.reason = ""
-        self.obstacle = Obstacle.NONE
-        self.waits_for = ""
-        self.silent = False
-        self.diverted = False
+        self.state = TransitionState.PROCESSING  # progress
+        self.reason = ""  # of a failure
+        self.obstacle = Obstacle.NONE  # its kind
+        self.waits_for = ""  # condition for acceptance of the current command; empty: none reported
+        self.silent = False  # failed without a reply
+        self.diverted = False  # failed because the Motion System entered another behavior
         self._commands = commands
         self._numbers = (first_number, first_number + 1)
         self._expected: set[str] = {behavior, commands[0]}
-        self._in_order = True  # what is reported is not the effect of something asked for before
+        self._in_order = True  # the reported behavior cannot result from earlier requests
         if replaced is not None and replaced.state is TransitionState.PROCESSING:
             self._in_order = False
             self._expected |= replaced._expected
         self._step = 0
         self._sent = False
         self._deadline: float | None = None
-        self._again: float | None = None  # when to repeat the present command
-        self._patience: float | None = None  # until when
+        self._retry_at: float | None = None  # time to repeat the current command
+        self._give_up_at: float | None = None
 
     def update(self, now: float, behavior: str, reason: str, answer: BehaviorAnswer | None) -> tuple[int, str] | None:
-        """Take in what is new; returns the number and the name of a behavior to ask for now, if any.
+        """Process the latest reports; returns number and name of a behavior to request now, if any.
 
         Args:
             now: monotonic [s].
             behavior: reported by the Motion System.
             reason: of its last change of behavior.
-            answer: to a command, if one came; answers to other transitions' commands are ignored.
+            answer: if one was received; those to other transitions are ignored.
         """
         if self.state is not TransitionState.PROCESSING:
             return None
         command = self._commands[self._step]
         if behavior not in self._expected:
             self.diverted = True
-            self._fail(f"the Motion System went to {behavior}: {reason}")
+            self._fail(f"the Motion System entered {behavior}: {reason}")
             return None
-        if not self._sent or (self._again is not None and now >= self._again):
-            self._sent, self._again = True, None
+        if not self._sent or (self._retry_at is not None and now >= self._retry_at):
+            self._sent, self._retry_at = True, None
             return self._numbers[self._step], command
         arrived = behavior == command
         if answer is not None and answer.number == self._numbers[self._step]:
-            # A reply that was lost on its way is no refusal, if the Motion System is where it was asked to go.
+            # A lost reply is no rejection if the Motion System is in the requested behavior.
             if not (answer.accepted or (answer.silent and arrived)):
-                self._refused(answer, now)
+                self._reject(answer, now)
                 return None
             self._deadline = now + REPORT_TIMEOUT
             arrived = arrived or (self._step == 0 and answer.behavior == command)
         if self._deadline is None:
             return None
         if arrived:
-            return self._go_on(behavior)
+            return self._advance(behavior)
         if now > self._deadline:
             self._fail(
                 f"{command} was accepted, but the Motion System still reports {behavior} after {REPORT_TIMEOUT:g} s"
             )
         return None
 
-    def _refused(self, answer: BehaviorAnswer, now: float) -> None:
-        """Wait for what passes by itself, and give up otherwise."""
-        self._patience = self._patience or now + WAIT
-        if answer.obstacle == Obstacle.WAIT and now < self._patience:
-            self.waits_for, self._again = answer.reason, now + AGAIN
+    def _reject(self, answer: BehaviorAnswer, now: float) -> None:
+        self._give_up_at = self._give_up_at or now + WAIT
+        if answer.obstacle == Obstacle.WAIT and now < self._give_up_at:
+            self.waits_for, self._retry_at = answer.reason, now + RETRY_PERIOD
             return
         self.silent, self.obstacle = answer.silent, Obstacle(answer.obstacle)
-        waited = f", for which {WAIT:g} s were waited" if answer.obstacle == Obstacle.WAIT else ""
+        waited = f"; not resolved within {WAIT:g} s" if answer.obstacle == Obstacle.WAIT else ""
         self._fail(answer.reason + waited)
 
-    def _go_on(self, behavior: str) -> tuple[int, str] | None:
-        """The present command has led where it should."""
-        self._deadline = self._patience = None
+    def _advance(self, behavior: str) -> tuple[int, str] | None:
+        self._deadline = self._give_up_at = None
         self.waits_for = ""
         if self._step == 1:
             self.state = TransitionState.DONE
@@ -158,7 +127,6 @@ class BehaviorTransition:
         return self._numbers[1], second
 
     def abandon(self, reason: str) -> None:
-        """Ask for nothing more."""
         if self.state is TransitionState.PROCESSING:
             self.silent = True
             self._fail(reason)

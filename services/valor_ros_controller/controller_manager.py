@@ -1,14 +1,15 @@
-"""Controller managers (thesis section 3.5): each runs the active ones of its controllers.
+"""Controller managers (thesis section 3.5), and switching of controllers by clients.
 
-There are three: the control mode manager runs the control mode controller, whose table says which controllers the
-joint manager and the robot manager may run.
+The control mode manager runs the control mode controller, whose table determines the controllers of the joint manager
+and the robot manager.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
-from typing import Protocol
+from enum import IntEnum
+from functools import partial
 
 from valor.common.errors import ConfigurationError
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
@@ -16,95 +17,61 @@ from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWIn
 _log = logging.getLogger("controller_manager")
 
 
-class Controller(Protocol):
-    """What a manager runs."""
+class Controller:
+    """Controller run by a manager."""
 
-    @property
-    def name(self) -> str:
-        """Unique among all controllers."""
-
-    @property
-    def type(self) -> str:
-        """As ros2_control names plugins."""
+    name: str  # unique among all controllers
+    type: str  # in the form of a ros2_control plug-in
+    active = False  # selected by the control mode
 
     def start(self, hw: ValorEscherHWInterface) -> None:
-        """Become active."""
-
-    def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
-        """Become inactive; ``reason`` is for whoever waits for a goal."""
-
-    def update(self, hw: ValorEscherHWInterface) -> None:
-        """One cycle. Called whether active or not, for requests must be answered."""
-
-
-class Onlooker:
-    """A controller that leads nothing: it says how things are while it is active.
-
-    Attributes:
-        active: chosen by the control mode.
-    """
-
-    active = False
-
-    def start(self, hw: ValorEscherHWInterface) -> None:
-        """Be active."""
         self.active = True
 
     def stop(self, hw: ValorEscherHWInterface, reason: str) -> None:
-        """Be inactive."""
+        """Deactivate; ``reason`` is for clients with active goals."""
         self.active = False
 
     def update(self, hw: ValorEscherHWInterface) -> None:
-        """Nothing is led from here."""
+        """Run one cycle; also called while inactive, to answer requests."""
 
 
 class ControllerManager:
-    """Controllers by name, which of them the control mode allows, and which are active.
-
-    Attributes:
-        controllers: by name.
-        active: names of the active ones, sorted; a new object whenever they change.
-        switches: how often the active ones changed.
-    """
+    """Controllers by name, those allowed by the control mode, and the active ones."""
 
     def __init__(self, name: str, controllers: Iterable[Controller]) -> None:
         self.name = name
-        self.controllers: dict[str, Controller] = {controller.name: controller for controller in controllers}
-        self.switches = 0
+        self.controllers: dict[str, Controller] = {controller.name: controller for controller in controllers}  # by name
         self._mode = ""
         self._allowed: frozenset[str] = frozenset()
-        self.active: tuple[str, ...] = ()
+        self.active: tuple[str, ...] = ()  # names of the active controllers, sorted; a new object on each change
 
     def check(self, names: Sequence[str], where: str) -> None:
-        """Whether all controllers named exist.
+        """Check that all names exist.
 
         Raises:
-            ConfigurationError: one does not; ``where`` says who names it.
+            ConfigurationError: one does not; ``where`` names the table.
         """
         if unknown := [name for name in names if name not in self.controllers]:
             known = ", ".join(self.controllers) or "none"
             raise ConfigurationError(f"{where}: unknown controller {unknown[0]!r}; the {self.name} manager has {known}")
 
     def enter(
-        self, mode: str, names: Sequence[str], hw: ValorEscherHWInterface, reason: str, *, anew: bool = False
+        self, mode: str, names: Sequence[str], hw: ValorEscherHWInterface, reason: str, *, restart: bool = False
     ) -> None:
-        """Make exactly these active when a control mode begins; in the mode others may switch among them.
-
-        Those that stay go on undisturbed, unless all are to start ``anew``.
-        """
-        if mode == self._mode and not anew:
+        """Activate exactly these controllers on entry to a control mode; with ``restart``, restart active ones."""
+        if mode == self._mode and not restart:
             return
         self._mode = mode
         self._allowed = frozenset(names)
-        leaving = [name for name in self.active if anew or name not in self._allowed]
-        self.apply(leaving, [name for name in names if anew or name not in self.active], hw, reason)
+        leaving = [name for name in self.active if restart or name not in self._allowed]
+        self.apply(leaving, [name for name in names if restart or name not in self.active], hw, reason)
 
     def allows(self, name: str) -> bool:
-        """Whether a controller may be active in the present mode."""
+        """Whether a controller may be active in the current mode."""
         return name in self._allowed
 
     def apply(self, leaving: Sequence[str], coming: Sequence[str], hw: ValorEscherHWInterface, reason: str) -> None:
-        """Stop controllers that are active, then start others, within one cycle."""
+        """Stop active controllers, then start others, within one cycle."""
         if not (leaving or coming):
             return
         for name in leaving:
@@ -113,10 +80,86 @@ class ControllerManager:
             self.controllers[name].start(hw)
         stay = [name for name in self.active if name not in leaving]
         self.active = tuple(sorted((*stay, *coming)))
-        self.switches += 1
         _log.info("%s controllers: %s (%s)", self.name, ", ".join(self.active) or "none", reason)
 
     def update(self, hw: ValorEscherHWInterface) -> None:
-        """One cycle of each."""
         for controller in self.controllers.values():
             controller.update(hw)
+
+
+class Strictness(IntEnum):
+    """Values of ``controller_manager_msgs/srv/SwitchController``."""
+
+    BEST_EFFORT = 1
+    STRICT = 2
+    AUTO = 3
+    FORCE_AUTO = 4
+
+
+class ControllerSwitch:
+    """Switching by clients within the control mode, as ros2_control's ``switch_controller`` (Jazzy). Update thread."""
+
+    def __init__(self, managers: Sequence[ControllerManager], hw: ValorEscherHWInterface) -> None:
+        self.managers = tuple(managers)  # all of them; the first has the control modes and is not switched
+        self._modes, *self._managers = managers
+        self._hw = hw
+
+    def switch(self, activate: Sequence[str], deactivate: Sequence[str], strictness: int) -> tuple[bool, str]:
+        """Switch controllers within this cycle; returns success, and the reasons of what was not done.
+
+        Args:
+            activate: names.
+            deactivate: names; a controller in both lists restarts.
+            strictness: STRICT: all or nothing. Others, equivalent without controller chains: all that is possible, a
+                failure if nothing of a list is.
+        """
+        if strictness not in (0, *Strictness):
+            return False, f"strictness {strictness}; expected 1 (BEST_EFFORT) or 2 (STRICT)"
+        strict, failed = strictness == Strictness.STRICT, False
+        leaving, coming, rejections = list[str](), list[str](), list[str]()
+        for requested, chosen, check in (
+            (deactivate, leaving, self._against_stop),
+            (activate, coming, partial(self._against_start, restarting=deactivate)),
+        ):
+            names = dict.fromkeys(requested)
+            reasons = []
+            for name in names:
+                reason, already = check(name)
+                if not reason:
+                    chosen.append(name)
+                elif strict or not already:
+                    reasons.append(reason)
+            failed = failed or 0 < len(names) == len(reasons)
+            rejections += reasons
+        text = "; ".join(rejections)
+        if strict and rejections:
+            return False, text
+        reason = f"switched by a client in {self._hw.situation}"
+        for manager in self._managers:
+            ours = manager.controllers
+            manager.apply([n for n in leaving if n in ours], [n for n in coming if n in ours], self._hw, reason)
+        return not failed, text
+
+    def _against_stop(self, name: str) -> tuple[str, bool]:
+        """Reason not to stop a controller, empty if there is none; whether it is that it is not active."""
+        if name in self._modes.controllers:
+            return f"{name} has the control modes and is always active", False
+        if (manager := self._manager(name)) is None:
+            return self._unknown(name), False
+        return ("", False) if name in manager.active else (f"{name} is not active", True)
+
+    def _against_start(self, name: str, restarting: Sequence[str]) -> tuple[str, bool]:
+        """Reason not to start a controller, empty if there is none; whether it is that it is active."""
+        manager = self._manager(name)
+        if name in self._modes.controllers or (manager and name in manager.active):
+            return ("", False) if manager and name in restarting else (f"{name} is already active", True)
+        if manager is None:
+            return self._unknown(name), False
+        return ("" if manager.allows(name) else f"{name} may not be active: {self._hw.situation}"), False
+
+    def _manager(self, name: str) -> ControllerManager | None:
+        return next((manager for manager in self._managers if name in manager.controllers), None)
+
+    def _unknown(self, name: str) -> str:
+        known = ", ".join(name for manager in self.managers for name in manager.controllers)
+        return f"unknown controller {name!r}; expected one of {known}"

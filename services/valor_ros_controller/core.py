@@ -1,87 +1,62 @@
-"""The Valor ROS Controller without ROS, put together: the Valor Escher Controller (VEC, thesis sections 3.5 and 4.2.1).
+"""Valor ROS Controller without ROS: the Valor Escher Controller (VEC, thesis sections 3.5 and 4.2.1).
 
-One cycle, at every second Proprioceptor::
-
-    read ──► mode manager ──► switch controllers ──► joint manager ──► robot manager ──► rectify and write
-      ▲      (control mode     if the mode says so   (trajectories)    (pelvis,           (limits, one writer
-      │       controller)                                               footsteps)         a joint)
-    Proprioceptor, MotionState                                                             JointSetpoints,
-                                                                                           PelvisSetpoint
-
-What clients of the controller manager ask for is done between robot manager and rectification. Who runs the core waits
-for a measurement, then updates; what lies between is his own.
-
-Two tables say what there is: ``control_modes.yaml`` and ``controllers.yaml``.
+A cycle reads, updates modes, switches controllers, updates joint and robot controllers, serves calls, and writes.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TypeVar
 
 import bifrost
 from valor.common.behaviors import NOTHING_TO_LEAD, ControlMode
 from valor.robot.description import RobotDescription
-from valor.valor_ros_controller.behavior_commander import Commander
 from valor.valor_ros_controller.control_modes import ControlModeTable
-from valor.valor_ros_controller.controller_manager import ControllerManager
-from valor.valor_ros_controller.controller_switch import ControllerSwitch
-from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controller_manager import Controller, ControllerManager, ControllerSwitch
+from valor.valor_ros_controller.controllers.configuration import ControllersTable, TrackingControllerConfig
 from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
-from valor.valor_ros_controller.controllers.footstep_controller import FootstepController
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor.valor_ros_controller.controllers.tracking_controller import TrackingController
-from valor.valor_ros_controller.update_queue import UpdateQueue
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
-from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
+from valor.valor_ros_controller.valor_escher_interface import BehaviorCommander, ValorEscherInterface
 
-WAIT = 0.02
-"""Without a Proprioceptor the loop still looks after modes and goals this often [s]."""
+WAIT = 0.02  # longest time between two updates of modes and goals without a Proprioceptor [s]
 
 
 class Core:
-    """All parts, each made of those before it, and the update loop over them.
+    """All parts, and the update loop.
 
     Attributes:
-        modes: the table of control modes.
+        modes: table of control modes.
         table: of controllers.
         hw: state and commands.
-        interface: the Motion System's side.
-        mode_controller: the control modes' state machine, alone in the control mode manager.
-        trajectories: name → trajectory controller, those of joints first.
-        tracking: name → controller that only follows the robot.
-        footsteps: the footstep controller.
-        joints, robots: the joint manager and the robot manager.
-        switch: switches controllers by hand. Update thread.
-        queue: work for the update thread from others.
-        began: when the newest cycle began, its data having come [``time.perf_counter()``, s].
+        interface: to the Motion System.
+        mode_controller: state machine of the control modes.
+        trajectories, tracking: controllers by name.
+        joints, robots: joint manager and robot manager.
+        switch: of controllers by clients. Update thread.
     """
 
     def __init__(
         self,
         robot: RobotDescription,
         node: bifrost.Node,
-        commander: Callable[[Callable[[], None]], Commander],
+        commander: Callable[[Callable[[], None]], BehaviorCommander],
         *,
         decimation: int,
         silence_timeout: float,
-        refusal: str = "",
+        rejection: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Put it together.
+        """Create all parts; for the arguments see ``ValorEscherInterface``.
 
-        Args:
-            robot: its description.
-            node: to the Bifrost network.
-            commander: makes what asks for behaviors; takes what it is to call, from any thread, after each answer.
-            decimation: a cycle is due at every n-th Proprioceptor.
-            silence_timeout: a process that publishes nothing for so long is silent [s].
-            refusal: why every control mode that is asked for is refused; empty: it is not.
-            clock: monotonic [s].
+        ``rejection``: reason to reject every control mode, empty if there is none.
 
         Raises:
-            ConfigurationError: a table is wrong.
-            JointClaimError: two controllers that a mode runs together write the same joint.
+            ConfigurationError: a table is invalid.
+            JointClaimError: two controllers of one mode write the same joint.
         """
         everything = ControllersTable.load()
         self.table = table = everything.of(robot)
@@ -89,7 +64,7 @@ class Core:
         self.modes = modes = ControlModeTable.load().without(everything.names - table.names, lacking)
         self.hw = hw = ValorEscherHWInterface(robot)
         self.interface = ValorEscherInterface(node, commander, hw, decimation, silence_timeout, clock=clock)
-        self.mode_controller = ControlModeController(modes, self.interface, refusal)
+        self.mode_controller = ControlModeController(modes, self.interface, rejection)
         self.trajectories = {
             name: JointTrajectoryController(name, config, hw, modes.running(name))
             for name, config in (table.joint_controllers | table.robot_controllers).items()
@@ -97,24 +72,24 @@ class Core:
         self.tracking = {
             name: TrackingController(name, config, hw) for name, config in table.tracking_controllers.items()
         }
-        self.footsteps = FootstepController(self.interface)
         self._modes = ControllerManager("mode", [self.mode_controller])
         self.joints = ControllerManager(
             "joint", [*(self.trajectories[name] for name in table.joint_controllers), *self.tracking.values()]
         )
         self.robots = ControllerManager(
-            "robot", [self.footsteps, *(self.trajectories[name] for name in table.robot_controllers)]
+            "robot", [FootstepController(), *(self.trajectories[name] for name in table.robot_controllers)]
         )
         self.switch = ControllerSwitch((self._modes, self.joints, self.robots), hw)
-        self.queue = UpdateQueue()
-        self.began = 0.0
+        self.queue = UpdateQueue()  # calls into the update thread
+        self.began = 0.0  # start of the latest cycle, after its data were received [``time.perf_counter()``, s]
+        self.cycles = 0  # number of cycles with a measurement
         self._resets = 0
         self._last_time = 0
         self._check_modes()
-        self._modes.enter("", [self.mode_controller.name], hw, "start", anew=True)
+        self._modes.enter("", [self.mode_controller.name], hw, "start", restart=True)
 
     def _check_modes(self) -> None:
-        """Whether the controllers that a mode runs exist, and no two of them write the same joint."""
+        """Check that the controllers of each mode exist, and that no two of them write the same joint."""
         for name, mode in self.modes.modes.items():
             self.joints.check(mode.joint_controllers, f"control mode {name}: joint_controllers")
             self.robots.check(mode.robot_controllers, f"control mode {name}: robot_controllers")
@@ -125,38 +100,38 @@ class Core:
 
     @property
     def rejected(self) -> int:
-        """How many messages, control modes and trajectories were refused."""
-        trajectories = sum(controller.refusals.count for controller in self.trajectories.values())
-        return self.interface.rejected + self.mode_controller.refusals.count + trajectories
+        """Number of rejected messages, control modes and trajectories."""
+        trajectories = sum(controller.rejections.count for controller in self.trajectories.values())
+        return self.interface.rejected + self.mode_controller.rejections.count + trajectories
 
     def wait(self) -> bool:
-        """Wait for the measurement that a cycle is due for, and store it; whether it came."""
+        """Wait for the measurement of the next cycle and store it; returns whether it was received."""
         return self.interface.receive(WAIT)
 
     def update(self, measured: bool) -> None:
-        """Run a cycle; set-points are sent if it is ``measured``, as ``wait`` said."""
-        self.interface.listen()
+        """Run a cycle; sends set-points if ``measured``, the result of ``wait``."""
+        self.interface.poll()
         self.began = time.perf_counter()
+        self.cycles += measured
         hw = self.hw
         went_back = hw.time < self._last_time
         self._last_time = hw.time
         self._modes.update(hw)
         self._enter_mode(went_back)
         self.mode_controller.answer()
-        hw.command_offset.fill(0.0)
         self.joints.update(hw)
         self.robots.update(hw)
-        self.queue.run()  # behind the controllers, so that a goal that came before a question is under way
+        self.queue.run()  # after the controllers: a goal received before a query is active
         if measured:
             self.interface.write()
-            self.interface.tell_cycle()
+            self.interface.publish_cycle()
         self.interface.report(self.mode_controller.report)
 
     def _enter_mode(self, went_back: bool) -> None:
-        """Run the controllers of the active mode, none while the Motion System is silent."""
+        """Activate the controllers of the active mode, none while the Motion System is silent."""
         hw, mode_controller, silent = self.hw, self.mode_controller, self.interface.silent
         name = mode_controller.active_mode
-        anew = went_back or mode_controller.hard_resets != self._resets
+        restart = went_back or mode_controller.hard_resets != self._resets
         self._resets = mode_controller.hard_resets
         if silent or not name:
             hw.situation = reason = f"{silent or 'the Motion System'} is silent"
@@ -168,9 +143,68 @@ class Core:
         reason = "robot time went back" if went_back else hw.situation
         if name == ControlMode.NONE and self.interface.behavior:
             reason = f"{reason}, the Motion System is in {self.interface.behavior}"
-        self.joints.enter(name, mode.joint_controllers, hw, reason, anew=anew)
-        self.robots.enter(name, mode.robot_controllers, hw, reason, anew=anew)
+        self.joints.enter(name, mode.joint_controllers, hw, reason, restart=restart)
+        self.robots.enter(name, mode.robot_controllers, hw, reason, restart=restart)
 
     def close(self) -> None:
-        """Ask the Motion System for nothing more. The node is closed by its owner."""
+        """Send no more behavior requests. The owner closes the node."""
         self.interface.close()
+
+
+T = TypeVar("T")
+
+CALL_TIMEOUT = 2.0  # the update loop runs every few milliseconds, also while the robot is silent [s]
+
+
+class UpdateQueue:
+    """Calls from other threads, run between two cycles of the update thread, in order."""
+
+    def __init__(self) -> None:
+        self._calls: deque[Callable[[], None]] = deque()
+
+    def call(self, function: Callable[[], T]) -> T:
+        """Return the result of a function run in the update thread; from any other thread.
+
+        Raises:
+            TimeoutError: the update loop does not run.
+            Exception: of the function.
+        """
+        future: Future[T] = Future()
+
+        def run() -> None:
+            try:
+                future.set_result(function())
+            except Exception as error:
+                future.set_exception(error)
+
+        self._calls.append(run)
+        try:
+            return future.result(CALL_TIMEOUT)
+        except TimeoutError:
+            if future.done():
+                raise
+            raise TimeoutError(f"the update loop did not run within {CALL_TIMEOUT:g} s") from None
+
+    def run(self) -> None:
+        """Run waiting calls. Update thread."""
+        while self._calls:
+            self._calls.popleft()()
+
+
+class TrackingController(Controller):
+    """Reports position and set-point of a limb that the Motion System controls; rejects all goals."""
+
+    type = "valor_ros_controller/TrackingController"
+
+    def __init__(self, name: str, config: TrackingControllerConfig, hw: ValorEscherHWInterface) -> None:
+        self.name = name
+        self.joints = hw.group_indices(config.groups)  # (n,) indices of its joints in the hardware interface's vectors
+        self.limits = hw.limits(self.joints)
+        self.rejection = f"{name} accepts no goals: {config.goals}"  # of every goal
+
+
+class FootstepController(Controller):
+    """Stands for the Footstep Converter in the modes in which footstep plans are accepted."""
+
+    name = "footstep_controller"
+    type = "valor_ros_controller/FootstepController"

@@ -1,14 +1,11 @@
-"""Valor Escher Interface (VEI): the Motion System's side, over Bifrost (thesis sections 4.1.4 and 4.2.2).
-
-Measurements and the Motion System's state come in, set-points and the control mode's report go out, all in the update
-thread. Asking for a behavior waits for a reply, so the commander does it in a thread of its own.
-"""
+"""Valor Escher Interface (VEI): the Motion System over Bifrost (thesis sections 4.1.4 and 4.2.2). Update thread."""
 
 from __future__ import annotations
 
 import logging
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from math import isfinite
 from typing import Any
 
@@ -17,46 +14,43 @@ import numpy as np
 import bifrost
 from valor.common import topics
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import STOPPED
 from valor.common.messages import (
+    BehaviorRequest,
     ControllerCycle,
     ControlModeReport,
     JointSetpoints,
     MotionState,
     PelvisSetpoint,
     Proprioceptor,
-    StepStatus,
 )
 from valor.robot.commanded_limits import Indices
-from valor.valor_ros_controller.behavior_commander import Commander
-from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
-from valor.valor_ros_controller.controllers.mode_requests import ModeReport
-from valor.valor_ros_controller.cycle_gaps import CycleGaps
+from valor.valor_ros_controller.behavior_transition import BehaviorAnswer, BehaviorTransition, TransitionState
+from valor.valor_ros_controller.control_modes import ModeReport
+from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 _log = logging.getLogger("valor_escher_interface")
 
-LATE = 1  # a cycle that comes more than so many periods after it was due is late
+LATE = 1  # periods that a cycle may be late without being counted
+STRANGE = 100_000  # gap from which on robot time is assumed to have changed [periods]
 REPORT_PERIOD = 0.1
-"""The control mode is reported on Bifrost on change and this often [s]."""
+"""Period of the control mode's report on Bifrost, in addition to changes [s]."""
 
 
 class ValorEscherInterface:
-    """Bifrost in and out, and the Motion System's behavior.
+    """Input and output over Bifrost, and behavior transitions.
 
     Attributes:
-        behavior: of the Motion System; empty before the first report and while it is silent.
-        behavior_reason: of its last change.
-        silent: name of the process that is silent; empty: none.
-        motion_state: the newest believable MotionState and its envelope.
-        step_status: what the Motion System says of a footstep plan; None: not heard, or silent.
-        gaps: between cycles.
-        rejected: how many messages were of the wrong length or not finite.
+        late: number of late cycles, in robot time.
+        longest_gap: between two cycles since the last diagnostics, which reset it [periods].
+        rejected: number of messages with wrong lengths or not finite numbers.
     """
 
     def __init__(
         self,
         node: bifrost.Node,
-        commander: Callable[[Callable[[], None]], Commander],
+        commander: Callable[[Callable[[], None]], BehaviorCommander],
         hw: ValorEscherHWInterface,
         decimation: int,
         silence_timeout: float,
@@ -66,27 +60,23 @@ class ValorEscherInterface:
         """Connect.
 
         Args:
-            node: to the Bifrost network.
-            commander: makes what asks for behaviors, which is closed with the interface; takes what it is to call
-                after each answer.
-            hw: where measurements go and set-points come from.
-            decimation: a cycle is due at every n-th Proprioceptor.
-            silence_timeout: a process that publishes nothing for so long is silent [s].
+            node: of the Bifrost network.
+            commander: creates the sender of behavior requests; its argument is called after each reply.
+            hw: stores measurements and set-points.
+            decimation: number of Proprioceptors per cycle.
+            silence_timeout: of a process that stops publishing [s].
             clock: monotonic [s].
         """
         self._clock = clock
-        self.gaps = CycleGaps(decimation + LATE)
         self._hw = hw
         self._decimation = decimation
         self._timeout = silence_timeout
         self._n = len(hw.robot.joints)
         self._proprioceptor = topics.PROPRIOCEPTOR.subscriber(node)
         self._motion_state = topics.MOTION_STATE.subscriber(node)
-        self._step_status = topics.STEP_STATUS.subscriber(node)
-        self.heard: dict[topics.Topic[Any], bifrost.Subscriber[Any]] = {
+        self.subscribers: dict[topics.Topic[Any], bifrost.Subscriber[Any]] = {
             topics.PROPRIOCEPTOR: self._proprioceptor,
             topics.MOTION_STATE: self._motion_state,
-            topics.STEP_STATUS: self._step_status,
         }
         self._robot_clock = topics.CLOCK.subscriber(node)
         self._setpoints = topics.JOINT_SETPOINTS.publisher(node)
@@ -97,155 +87,132 @@ class ValorEscherInterface:
         self._transition: BehaviorTransition | None = None
         self._number = 1
         self._last_sequence = 0
-        self._newest_sequence = 0
-        self._heard_proprioceptor = self._heard_motion = -np.inf
+        self._received_sequence = 0
+        self._proprioceptor_at = self._motion_at = -np.inf
         self._written: Indices | None = None
-        self._split = 0  # so many of the joints written are the robot's; the others are the pelvis'
+        self._split = 0  # number of robot joints among the written ones; the others are the pelvis'
         self._names: list[str] = []
         self._reported: ModeReport | None = None
         self._reported_at = -np.inf
-        self.behavior = ""
-        self.behavior_reason = ""
-        self.silent = "comms_manager"
-        self.motion_state: bifrost.Received[MotionState] | None = None
-        self.step_status: StepStatus | None = None
-        self.rejected = 0
-        self.set_points_sent = 0
+        self.behavior = ""  # of the Motion System; empty before the first report and while it is silent
+        self.behavior_reason = ""  # of its last change
+        self.silent = "comms_manager"  # name of the silent process; empty: none
+        self.motion_state: bifrost.Received[MotionState] | None = None  # latest valid MotionState with its envelope
+        self.rejected = self.set_points_sent = self.late = self.longest_gap = 0
 
     @property
     def proprioceptor_age(self) -> float:
-        """Since the newest Proprioceptor came [s]; inf before the first."""
-        return self._clock() - self._heard_proprioceptor
+        """Age of the latest Proprioceptor [s]; inf before the first."""
+        return self._clock() - self._proprioceptor_at
 
     @property
     def motion_state_age(self) -> float:
-        """Since the newest MotionState came [s]; inf before the first."""
-        return self._clock() - self._heard_motion
+        """Age of the latest MotionState [s]; inf before the first."""
+        return self._clock() - self._motion_at
 
     def wake(self) -> None:
-        """Make ``receive`` return at once: there is something to see to. From any thread."""
+        """Make ``receive`` return at once. From any thread."""
         self._proprioceptor.wake()
 
     def receive(self, timeout: float) -> bool:
-        """Wait for the Proprioceptor that a cycle is due for, and store it.
+        """Wait for the next cycle's Proprioceptor and store it; returns whether it was received in ``timeout`` [s].
 
-        Args:
-            timeout: how long to wait [s].
-
-        Returns:
-            Whether it came. While a transition is under way this returns with every Proprioceptor, for the Motion
-            System reports as often.
+        During a transition it returns with every Proprioceptor, as the Motion System reports at the same rate.
         """
         deadline = self._clock() + timeout
         while True:
             received = self._proprioceptor.receive(max(1e-3, deadline - self._clock()))
             if received is None:
                 return False
-            self._heard_proprioceptor = self._clock()
-            self._newest_sequence = received.message.sequence
+            self._proprioceptor_at = self._clock()
+            self._received_sequence = received.message.sequence
             if (due := self._take(received.message)) or self.in_transition:
                 return due
 
     @property
     def in_transition(self) -> bool:
-        """Whether something has been asked for and is not done yet."""
         return self._transition is not None and self._transition.state is TransitionState.PROCESSING
 
     def _take(self, measured: Proprioceptor) -> bool:
-        """Store a measurement if a cycle is due for it."""
-        # A sequence that goes back is a Comms Manager that started anew.
+        # A decreasing sequence results from a restarted Comms Manager.
         if 0 <= measured.sequence - self._last_sequence < self._decimation:
             return False
         position, velocity = measured.joint_position, measured.joint_velocity
         if len(position) != self._n or len(velocity) != self._n or len(measured.joint_effort) != self._n:
             self._reject(f"{topics.PROPRIOCEPTOR.name}: {len(position)} joints; expected {self._n}")
             return False
-        if not isfinite(position @ position + velocity @ velocity):  # quicker than looking at each number
+        if not isfinite(position @ position + velocity @ velocity):  # faster than a test of each number
             self._reject(f"{topics.PROPRIOCEPTOR.name}: a joint's position or velocity is not finite")
             return False
-        self.gaps.note(measured.sequence - self._last_sequence, self._clock())
+        gap = measured.sequence - self._last_sequence
+        if 0 < gap < STRANGE:
+            self.late += gap > self._decimation + LATE
+            self.longest_gap = max(self.longest_gap, gap)
         self._last_sequence = measured.sequence
-        self._hw.take_measurement(measured)
+        self._hw.store_measurement(measured)
         return True
 
     def _reject(self, text: str) -> None:
         self.rejected += 1
         if self.rejected == 1 or self.rejected % 1000 == 0:
-            _log.warning("refused %s (%d so far)", text, self.rejected)
+            _log.warning("rejected %s (%d in total)", text, self.rejected)
 
-    def listen(self) -> None:
-        """Take in the Motion System's state, who is silent, and how the transition under way fares."""
+    def poll(self) -> None:
+        """Receive the Motion System's state, detect silent processes, and continue the transition."""
         now = self._clock()
-        self._excuse_silence(now)
-        received = self._motion_state.latest()
-        if received is not None:
+        clock = self._robot_clock.latest()
+        if clock is not None and clock.message.mode == topics.PAUSED and not self.silent:
+            self._proprioceptor_at = self._motion_at = now  # no process is silent while simulated time is paused
+        if (received := self._motion_state.latest()) is not None:
             motion = received.message
-            pelvis = (motion.pelvis_setpoint, motion.pelvis_in_support)
-            numbers = sum(vector @ vector for vector in (motion.joint_setpoint, *pelvis))
-            if (
-                len(motion.joint_setpoint) == self._n
-                and all(len(vector) == 6 for vector in pelvis)
-                and isfinite(numbers)
-            ):
-                self._heard_motion = now
+            vectors = (motion.joint_setpoint, motion.pelvis_setpoint, motion.pelvis_in_support)
+            sizes = [len(vector) for vector in vectors]
+            if sizes == [self._n, 6, 6] and isfinite(sum(vector @ vector for vector in vectors)):
+                self._motion_at = now
                 self.motion_state = received
-                self._hw.take_motion(motion)
+                self._hw.store_motion(motion)
                 self.behavior, self.behavior_reason = motion.behavior, motion.reason
             else:
                 self._reject(
-                    f"{topics.MOTION_STATE.name}: joint_setpoint is not {self._n} finite numbers, or a pelvis' not 6"
+                    f"{topics.MOTION_STATE.name}: expected {self._n} finite numbers in joint_setpoint, 6 of the pelvis"
                 )
-        self.silent = self._who_is_silent(now)
-        if (steps := self._step_status.latest()) is not None:
-            self.step_status = steps.message
-        if now - self._heard_motion > self._timeout:
+        self.silent = self._silent_process(now)
+        if now - self._motion_at > self._timeout:
             self.behavior = ""
-            self.step_status = None
         self._proceed(now)
 
-    def _excuse_silence(self, now: float) -> None:
-        """While a simulation's time is paused, nobody has anything to say, and what goes on goes on afterwards."""
-        clock = self._robot_clock.latest()
-        if clock is not None and clock.message.mode == topics.PAUSED and not self.silent:
-            self._heard_proprioceptor = self._heard_motion = now
-
-    def _who_is_silent(self, now: float) -> str:
-        """The process that stopped; the other one may have nothing to say without it."""
-        proprioceptor_silent = now - self._heard_proprioceptor > self._timeout
-        motion_silent = now - self._heard_motion > self._timeout
-        if proprioceptor_silent and motion_silent:
-            # In lockstep the Comms Manager waits for the Motor that it is owed: who owes it, stopped. Unless the Comms
-            # Manager died before its last Proprioceptor had reached everybody: then it is gone from the network.
-            motion = self._hw.motion
-            owed = motion is not None and motion.proprioceptor_sequence < self._newest_sequence
-            return "motion_manager" if owed and self._proprioceptor.publishers else "comms_manager"
-        if proprioceptor_silent:
-            return "comms_manager"
-        return "motion_manager" if motion_silent else ""
+    def _silent_process(self, now: float) -> str:
+        """Name of the process that stopped; the other one may be silent as a consequence."""
+        motion_silent = now - self._motion_at > self._timeout
+        if now - self._proprioceptor_at <= self._timeout:
+            return "motion_manager" if motion_silent else ""
+        # In lockstep the Comms Manager waits for the Motor of its last Proprioceptor: a Motion Manager that owes it has
+        # stopped. If the Comms Manager died before that Proprioceptor arrived everywhere, it left the network.
+        motion = self._hw.motion
+        owed = motion is not None and motion.proprioceptor_sequence < self._received_sequence
+        return "motion_manager" if motion_silent and owed and self._proprioceptor.publishers else "comms_manager"
 
     def begin_transition(self, commands: tuple[str, str]) -> BehaviorTransition:
-        """Ask for two behaviors, one after the other; ends a transition that is under way."""
+        """Request two behaviors in order; ends a transition in progress."""
         self._transition = BehaviorTransition(commands, self._number, self.behavior, self._transition)
         self._number += 2
         self._proceed(self._clock())
         return self._transition
 
     def abandon_transition(self, reason: str) -> None:
-        """Ask for nothing more."""
-        self._commander.forget()
+        """Send no more requests of the transition."""
+        self._commander.discard()
         if self._transition:
             self._transition.abandon(reason)
 
     def _proceed(self, now: float) -> None:
-        """The transition under way: what was answered and reported, and what is to be asked for next."""
         answer = self._commander.answers.read()
         if self._transition and self.behavior:
             command = self._transition.update(now, self.behavior, self.behavior_reason, answer)
             if command:
-                self._commander.ask(*command)
+                self._commander.request(*command)
 
     def write(self) -> None:
-        """Send the set-points of the joints that are written."""
         hw = self._hw
         if hw.written is not self._written:
             self._written = hw.written
@@ -258,19 +225,19 @@ class ValorEscherInterface:
         if k:
             self._setpoints.publish(JointSetpoints(hw.time, self._names, position[:k], velocity[:k], acceleration[:k]))
         if k < len(position):
-            self.lead_pelvis(position[k:], velocity[k:])
+            self.command_pelvis(position[k:], velocity[k:])
         self.set_points_sent += 1
 
-    def tell_cycle(self) -> None:
-        """A cycle is done: a world in lockstep may go on."""
+    def publish_cycle(self) -> None:
+        """Report the end of a cycle, for a world in lockstep."""
         self._cycle.publish(ControllerCycle(self._hw.time, self._last_sequence, self._decimation))
 
-    def lead_pelvis(self, position: FloatArray, velocity: FloatArray) -> None:
-        """Say where the pelvis shall be: (6,) as in ``PelvisSetpoint``, and their rates."""
+    def command_pelvis(self, position: FloatArray, velocity: FloatArray) -> None:
+        """Send a set-point of the pelvis: (6,) as in ``PelvisSetpoint``, and its rates."""
         self._pelvis.publish(PelvisSetpoint(self._hw.time, position, velocity))
 
     def report(self, report: ModeReport) -> None:
-        """Tell Bifrost of the control mode: on change, and every ``REPORT_PERIOD``."""
+        """Publish the control mode on change and every ``REPORT_PERIOD``."""
         now = self._clock()
         if report is self._reported and now - self._reported_at < REPORT_PERIOD:
             return
@@ -280,5 +247,51 @@ class ValorEscherInterface:
         )
 
     def close(self) -> None:
-        """End the thread. The node, and what belongs to it, is closed by its owner."""
+        """End the commander's thread. The owner closes the node."""
         self._commander.close()
+
+
+ANSWER_TIMEOUT = 2.0  # of a behavior request [s]
+
+
+class BehaviorCommander:
+    """Sends behavior requests one at a time; a newer request replaces a waiting one."""
+
+    def __init__(self, node: bifrost.Node, answered: Callable[[], None]) -> None:
+        """``answered`` is called after each reply, in the commander's thread."""
+        self.answers: RealTimeBuffer[BehaviorAnswer] = RealTimeBuffer()  # replies
+        self._answered = answered
+        self._client = topics.BEHAVIOR.client(node)
+        self._stopper = topics.STOP.client(node)
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="behavior_commander")
+        self._latest: Future[None] | None = None
+
+    def request(self, number: int, behavior: str) -> None:
+        self.discard()
+        self._latest = self._thread.submit(self._serve, number, behavior)
+
+    def discard(self) -> None:
+        """Discard a request that has not been sent yet."""
+        if self._latest is not None:
+            self._latest.cancel()
+
+    def _serve(self, number: int, behavior: str) -> None:
+        self.answers.write(self._call(number, behavior))
+        self._answered()
+
+    def _call(self, number: int, behavior: str) -> BehaviorAnswer:
+        # Without a Motion Manager, the Comms Manager stops the robot.
+        client = self._stopper if behavior in STOPPED and self._client.server is None else self._client
+        try:
+            reply = client.call(BehaviorRequest(behavior), ANSWER_TIMEOUT)
+        except bifrost.Error as error:
+            return BehaviorAnswer(number, False, str(error), silent=True)
+        server = "the Motion Manager" if client is self._client else "the Comms Manager"
+        reason = f"{server} rejected {behavior}: {reply.reason}"
+        return BehaviorAnswer(number, reply.accepted, reason, reply.behavior, obstacle=reply.obstacle)
+
+    def close(self) -> None:
+        """End the thread, at the latest when a request in progress has timed out."""
+        self._thread.shutdown(cancel_futures=True)
+        self._client.close()
+        self._stopper.close()

@@ -1,6 +1,4 @@
-"""Fixtures of the Bifrost tests: networks of a test's own."""
-
-from __future__ import annotations
+"""Fixtures of the Bifrost tests: networks for one test or module."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +7,7 @@ import pytest
 
 from harness import bifrost_network as network
 from harness.bifrost_network import BifrostNetwork
-from valor.valorctl.ros_domain import daemon_ports
+from valor.valorctl.instance.ros_domain import daemon_ports
 
 
 @pytest.fixture

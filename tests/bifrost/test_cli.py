@@ -1,13 +1,10 @@
-"""The command line's verbs, against real peers."""
-
-from __future__ import annotations
+"""Verbs of the command line, with other processes."""
 
 import json
 import os
 import signal
 import subprocess
 import sys
-import threading
 from typing import Any
 
 import numpy as np
@@ -15,25 +12,18 @@ import pytest
 from typer.testing import CliRunner
 
 import bifrost
-from bifrost.cli import Catalogue
-from bifrost.cli.__main__ import app
-from harness.bifrost_network import (
-    Answer,
-    BifrostNetwork,
-    Question,
-    Sample,
-    connected,
-    sample,
-    until,
-)
+from bifrost import cli
+from bifrost.cli import Catalogue, app
+from harness.bifrost_network import Answer, BifrostNetwork, Question, Sample, going_on, sample, until
+
+pytestmark = pytest.mark.portable
 
 
 @pytest.fixture(autouse=True)
-def joined(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def joined(net: BifrostNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
     """The verbs run in this process, in the test's network."""
-    network = request.getfixturevalue("net" if "net" in request.fixturenames else "bare_network")
-    monkeypatch.setenv("BIFROST_NETWORK", str(network.file))
-    monkeypatch.setenv("BIFROST_KEYS", str(network.keys))
+    monkeypatch.setenv("BIFROST_NETWORK", str(net.file))
+    monkeypatch.setenv("BIFROST_KEYS", str(net.keys))
 
 
 def run(*arguments: str) -> str:
@@ -64,39 +54,28 @@ def completed(*words: str) -> list[str]:
     return result.output.split()
 
 
-def test_names_of_what_is_there_are_completed(net: BifrostNetwork) -> None:
+def test_names_are_completed(net: BifrostNetwork) -> None:
     net.peer("publish", "lab/sample", "200")
     node = net.node("serving")
     node.server("lab/ask", Question, Answer, lambda question, origin: Answer("", 0))
     node.subscriber("attic/sample", Sample)
     registered(net, "publish_peer", "serving")
     until(lambda: completed("topic", "hz", "lab/") == ["lab/sample"], "the topic is offered")
-    until(lambda: completed("topic", "echo", "") == ["attic/sample", "lab/sample"], "all topics are offered")
-    until(lambda: completed("service", "call", "l") == ["lab/ask"], "the service is offered")
+    assert completed("topic", "echo", "") == ["attic/sample", "lab/sample"]
+    assert completed("service", "call", "l") == ["lab/ask"]
 
 
-def test_a_larger_command_lines_catalogue_stands_beside_what_there_is(net: BifrostNetwork) -> None:
+def test_entries_of_a_catalogue_are_shown(net: BifrostNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
     net.peer("publish", "lab/sample", "200")
     registered(net, "publish_peer")
     entries = {"lab/sample": {"rate_hz": 200.0, "may_publish": ["publish_peer"], "queue": None}}
-    catalogue = Catalogue({"Hz": "rate_hz"}, lambda: entries)
-
-    def told(*arguments: str) -> str:
-        result = CliRunner().invoke(app, ["topic", *arguments], obj=catalogue, catch_exceptions=False)
-        assert result.exit_code == 0, result.output
-        return result.output
-
-    head, row = told("list").splitlines()
+    monkeypatch.setattr(cli, "catalogue", Catalogue({"Hz": "rate_hz"}, lambda: entries))
+    head, row = run("topic", "list").splitlines()
     assert (head.split()[-1], row.split()[-1]) == ("Hz", "200")
-    assert told("info", "lab/sample").startswith(
-        "topic lab/sample\n  rate_hz: 200\n  may_publish: [publish_peer]\ntype"
-    )
-    assert json.loads(told("list", "--json"))[0]["catalogue"] == entries["lab/sample"]
-    assert json.loads(told("info", "lab/sample", "--json"))["catalogue"] == entries["lab/sample"]
-
-
-def test_nothing_is_completed_where_no_daemon_answers(bare_network: BifrostNetwork) -> None:
-    assert completed("topic", "hz", "") == []
+    text = "topic lab/sample\n  rate_hz: 200\n  may_publish: [publish_peer]\ntype"
+    assert run("topic", "info", "lab/sample").startswith(text)
+    for reported in (run_json("topic", "list")[0], run_json("topic", "info", "lab/sample")):
+        assert reported["catalogue"] == entries["lab/sample"]
 
 
 def test_topics(net: BifrostNetwork) -> None:
@@ -115,17 +94,6 @@ def test_topics(net: BifrostNetwork) -> None:
     assert "  values: float64[]\n" in info
     assert f"publisher publish_peer (pid {peer.pid} on localhost) at tcp://127.0.0.1:" in info
 
-    def counted() -> Any:
-        """Once both have told the daemon."""
-        told = run_json("topic", "info", "lab/sample")
-        ends = (*told["publishers"], *told["subscribers"])
-        return told if all(end.get("messages") for end in ends) else None
-
-    told = until(counted, "messages are counted at both ends")
-    assert told["schemas"] == topic["schemas"]
-    assert (told["subscribers"][0]["drops"], told["subscribers"][0]["rejected"]) == (0, 0)
-    assert " messages, 0 dropped, 0 refused" in run("topic", "info", "lab/sample")
-
     echoed = run_json("topic", "echo", "lab/sample", "--once")
     assert (echoed["type"], echoed["origin"]) == ("Sample", "publish_peer")
     assert echoed["message"] == bifrost.to_builtins(sample(echoed["message"]["count"]))
@@ -135,16 +103,10 @@ def test_topics(net: BifrostNetwork) -> None:
     rate = run_json("topic", "hz", "lab/sample", "--for", "0.5")
     assert rate["messages"] > 2 and rate["rate"] == pytest.approx(1.0 / rate["period_mean"])
     assert "Hz; period mean" in run("topic", "hz", "lab/sample", "--for", "0.2")
-    delay = run_json("topic", "delay", "lab/sample", "--for", "0.5")
-    assert 0.0 < delay["delay_min"] <= delay["delay_median"] <= delay["delay_p99"] <= delay["delay_max"] < 5.0
-    assert "delay mean" in run("topic", "delay", "lab/sample", "--for", "0.2")
-    width = run_json("topic", "bw", "lab/sample", "--for", "0.5")
-    frame = len("lab/sample") + 1 + 34 + len("publish_peer") + len(bifrost.codec(Sample).encode(sample(1000)))
-    assert width["bytes_mean"] == pytest.approx(frame, abs=4)  # digits of the count
-    assert "a message" in run("topic", "bw", "lab/sample", "--for", "0.2")
+    assert 0.0 < rate["delay_median"] < 5.0
 
 
-def test_numbers_that_json_does_not_know(net: BifrostNetwork) -> None:
+def test_echo_prints_one_json_object_a_line_until_interrupted(net: BifrostNetwork) -> None:
     publisher = net.node("publisher").publisher("lab/sample", Sample)
     message = Sample(1, "", np.array([np.nan, np.inf, 1.0]), np.zeros(0, np.uint8))
     process = subprocess.Popen(
@@ -153,51 +115,22 @@ def test_numbers_that_json_does_not_know(net: BifrostNetwork) -> None:
         stdout=subprocess.PIPE,
         text=True,
     )
-    output = process.stdout
-    assert output is not None
-    lines: list[str] = []
-    reader = threading.Thread(target=lambda: lines.extend(output))
-    reader.start()
-
-    def echoed() -> bool:
-        publisher.publish(message)
-        return len(lines) >= 3
-
-    until(echoed, "three messages are echoed", 30.0)
-    process.send_signal(signal.SIGINT)
-    try:
-        assert process.wait(20) == 0  # interrupting is how it ends
-    finally:
-        process.kill()
-        reader.join(20.0)
-        output.close()
-    assert json.loads(lines[0], parse_constant=pytest.fail)["message"]["values"] == [None, None, 1.0]
-
-
-def test_drops_and_refusals_are_seen_from_another_shell(net: BifrostNetwork) -> None:
-    publisher = net.node("publisher").publisher("lab/sample", Sample)
-    subscriber = net.node("listener").subscriber("lab/sample", Sample, queue=5, drop="oldest")
-    connected(publisher, subscriber)
-    for count in range(100):
-        publisher.publish(sample(count))
-    until(lambda: subscriber.drops == 95, "the oldest are dropped")
-
-    def seen() -> bool:
-        [end] = run_json("topic", "info", "lab/sample")["subscribers"]
-        return bool(end.get("drops") == 95)
-
-    until(seen, "the drops are in topic info")
+    with process, going_on(lambda: publisher.publish(message)):
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+    assert json.loads(line, parse_constant=pytest.fail)["message"]["values"] == [None, None, 1.0]
 
 
 def test_publishing_from_the_command_line(net: BifrostNetwork) -> None:
     listener = net.peer("subscribe", "lab/sample", "100")
     registered(net, "subscribe_peer")
     fields = json.dumps(bifrost.to_builtins(sample(5)))
-    sent = run_json("topic", "pub", "lab/sample", fields, "--count", "3", "--rate", "100")
-    assert sent == {"topic": "lab/sample", "type": "Sample", "messages": 3}
-    heard = [listener.line() for _ in range(3)]
-    assert [(line["count"], line["sequence"], line["drops"]) for line in heard] == [(5, 1, 0), (5, 2, 0), (5, 3, 0)]
-    assert "published 1 Sample" in run("topic", "pub", "lab/sample", fields)
+    assert run("topic", "pub", "lab/sample", fields, "--count", "3", "--rate", "100") == "published 3 Sample\n"
+    received = [listener.line() for _ in range(3)]
+    assert [(line["count"], line["sequence"], line["drops"]) for line in received] == [(5, 1, 0), (5, 2, 0), (5, 3, 0)]
+    run("topic", "pub", "lab/sample", fields)
     assert listener.line()["sequence"] == 1  # of another publisher
 
 
@@ -216,23 +149,28 @@ def test_services(net: BifrostNetwork) -> None:
     assert "handled: 2" in run("service", "call", "lab/ask", '{"action": "open", "argument": 1.5}')
 
 
+NONE = "no {0} lab/none; `{0} list` shows all"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("topic", "echo", "lab/none", "--timeout", "0.2"), "topic lab/none: no publisher within 0.2 s"),
+        (("topic", "echo", "lab/none", "--timeout", "0.2"), NONE.format("topic")),
+        (("topic", "echo", "/lab/none", "--timeout", "0.2"), NONE.format("topic")),
+        (("topic", "hz", "quiet", "--timeout", "0.2"), "no topic quiet; similar: lab/quiet; `topic list` shows all"),
         (("topic", "hz", "lab/quiet", "--timeout", "0.5"), "topic lab/quiet: quiet published nothing within 0.5 s"),
-        (("topic", "info", "lab/none"), "topic lab/none: nobody publishes or subscribes to it"),
-        (("service", "call", "lab/none", "--timeout", "0.2"), "service lab/none: no server within 0.2 s"),
-        (("service", "call", "lab/ask", '{"action": 1}'), "Question.argument is missing"),
+        (("topic", "info", "lab/none"), NONE.format("topic")),
+        (("topic", "info", "lab/quit"), "no topic lab/quit; similar: lab/quiet; `topic list` shows all"),
+        (("service", "call", "lab/none", "--timeout", "0.2"), NONE.format("service")),
         (
-            ("topic", "pub", "lab/none", "{}", "--timeout", "0.2"),
-            "topic lab/none: nobody who knows its type within 0.2 s",
+            ("service", "call", "lab/ask", '{"action": "open"}'),
+            "Question: Object missing required field `argument`; expected an object of action, argument",
         ),
-        (("topic", "pub", "lab/quiet", '{"count": 1}'), "Sample.label is missing"),
+        (("topic", "pub", "lab/none", "{}", "--timeout", "0.2"), NONE.format("topic")),
         (("service", "call", "lab/ask", '{"action": "raise", "argument": 0}'), "lab/ask: ValueError: no such valve"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(net: BifrostNetwork, arguments: tuple[str, ...], message: str) -> None:
+def test_errors_are_one_line(net: BifrostNetwork, arguments: tuple[str, ...], message: str) -> None:
     net.node("quiet").publisher("lab/quiet", Sample)
     if "lab/ask" in arguments:
         net.peer("serve", "lab/ask")
@@ -241,29 +179,41 @@ def test_what_cannot_be_done_is_one_line(net: BifrostNetwork, arguments: tuple[s
     assert str(caught.value) == message
 
 
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("topic", "info"), "no publisher and no subscriber"),
+        (("topic", "echo", "--timeout", "0.2"), "no publisher within 0.2 s"),
+        (("topic", "pub", "{}", "--timeout", "0.2"), "no node with its type within 0.2 s"),
+    ],
+)
+def test_a_name_of_the_catalogue_exists_also_without_a_node(
+    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], reason: str
+) -> None:
+    monkeypatch.setattr(cli, "catalogue", Catalogue({}, lambda: {"lab/none": {}}, "; ask {name}"))
+    with pytest.raises(bifrost.Error, match=f"^topic lab/none: {reason}$"):
+        run(*arguments[:2], "/lab/none", *arguments[2:])
+    with pytest.raises(bifrost.Error, match=r"^no topic lab/no; similar: lab/none; .* shows all; ask lab/no$"):
+        run(*arguments[:2], "/lab/no", *arguments[2:])
+
+
+def test_an_invalid_name_is_wrong_usage(net: BifrostNetwork) -> None:
+    result = CliRunner().invoke(app, ["topic", "echo", "//joint states"])
+    assert result.exit_code == 2 and "letters, digits" in result.output
+
+
 def test_exit_status_and_stderr(net: BifrostNetwork) -> None:
-    def verb(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
+    for arguments, status, error in (
+        (("topic", "list"), 1, "bifrost: /nowhere: no such folder of Bifrost keys\n"),
+        (("topic", "shout"), 2, ""),
+    ):
+        ended = subprocess.run(
             [sys.executable, "-m", "bifrost.cli", *arguments],
-            env=net.environment() | environment,
+            env=net.environment() | {"BIFROST_KEYS": "/nowhere"},
             capture_output=True,
             text=True,
             timeout=60,
             check=False,
         )
-
-    missing = verb("topic", "list", BIFROST_KEYS="/nowhere")
-    assert (missing.returncode, missing.stdout) == (1, "")
-    assert missing.stderr == "bifrost: /nowhere: no such folder of Bifrost keys\n"
-    assert verb("topic", "shout").returncode == 2
-    assert verb("service", "call", "lab/ask", "{").returncode == 2
-    twice = verb("topic", "pub", "lab/ask", '{"count": 1, "count": 2}')
-    assert twice.returncode == 2
-    assert "a field is there twice" in twice.stderr
-
-
-def test_without_a_daemon(bare_network: BifrostNetwork) -> None:
-    with pytest.raises(bifrost.TimeoutError, match=r"bifrostd at tcp://.* does not answer"):
-        run("topic", "list")
-    with pytest.raises(bifrost.TimeoutError, match=r"bifrostd at tcp://.* does not answer"):
-        run("topic", "echo", "lab/sample", "--timeout", "0.1")
+        assert (ended.returncode, ended.stdout) == (status, "")
+        assert ended.stderr == error or not error

@@ -1,6 +1,4 @@
-"""The socket of a latched publisher, where libzmq's bookkeeping of it is at its most delicate."""
-
-from __future__ import annotations
+"""The socket of a latched publisher, while subscribers start and end."""
 
 from collections.abc import Callable
 from typing import Any
@@ -32,7 +30,7 @@ def frame(count: int) -> bytearray:
     return bytearray(NAME + bytes([wire.VERSION, count]))
 
 
-def test_a_newcomer_hears_what_is_published_whoever_leaves_while_it_is_admitted(net: BifrostNetwork) -> None:
+def test_a_new_subscriber_receives_messages_while_others_end(net: BifrostNetwork) -> None:
     """libzmq forgets whom it is admitting when the end of another subscription reaches the socket."""
     with zmq.Context() as context:
         socket = context.socket(zmq.XPUB, socket_class=Interrupted)
@@ -59,9 +57,9 @@ def test_a_newcomer_hears_what_is_published_whoever_leaves_while_it_is_admitted(
         socket.meanwhile = first_leaves
         second = joined()
         latch.send(frame(2))
-        heard = second.poll(PATIENCE)
+        received = second.poll(PATIENCE)
         latch.close()
         until(lambda: socket.closed, "the publisher's end")
-        assert heard
+        assert received
         assert second.recv() == frame(2)
         second.close()

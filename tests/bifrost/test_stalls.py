@@ -1,6 +1,4 @@
-"""What waits too long unread ends no process: libzmq's own time limits must never meet a queue that is full."""
-
-from __future__ import annotations
+"""Full queues end no process: libzmq's timeouts must not meet a full queue."""
 
 import zmq
 
@@ -12,7 +10,7 @@ REQUESTS = 3000  # more than a server's socket holds
 
 
 def test_a_full_queue_lives_through_the_end_of_its_publisher(net: BifrostNetwork) -> None:
-    """Twenty rounds, ten at a time: stall, kill, reconnect. More of them: ``benchmarks/stalls.py``."""
+    """Twenty rounds, ten at a time: stall, kill, reconnect."""
     stalling = net.peer("stall", "lab/sample", str(STALL))
     witness = net.node("witness").subscriber("lab/sample", Sample, queue=10_000)
     for _ in range(2):

@@ -1,14 +1,10 @@
-"""Thousands of strangers at every port: mutated handshakes, replays, resets, connections that say nothing."""
-
-from __future__ import annotations
+"""Processes without keys at all ports: mutated handshakes, replays, resets, silent connections."""
 
 import contextlib
-import functools
 import random
 import socket as sockets
 import struct
 import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -17,17 +13,8 @@ import pytest
 import zmq
 
 import bifrost
-from harness.bifrost_network import (
-    Answer,
-    BifrostNetwork,
-    Peer,
-    Question,
-    Sample,
-    mechanism,
-    ports,
-    until,
-)
-from valor.valorctl.ros_domain import daemon_ports
+from harness.bifrost_network import Answer, BifrostNetwork, Peer, Question, Sample, mechanism, ports, until
+from valor.valorctl.instance.ros_domain import daemon_ports
 
 GREETING = 64  # [B], of ZMTP 3
 WELCOME = 170  # [B], the answer to a HELLO, framed
@@ -36,14 +23,11 @@ MEMORY = 16.0  # [MiB] that an attack may leave behind: heaps keep some of what 
 
 
 class Tap:
-    """A proxy before a port: keeps what clients say, may change a byte of it, may reset the connection within it."""
+    """A proxy before a port that records what clients send."""
 
     def __init__(self, port: int) -> None:
         self.said = bytearray()
         self.answered = 0  # bytes that came back
-        self.cut_at: int | None = None
-        self.flip_at: int | None = None
-        self.torn = False
         self._target = port
         self._listener = sockets.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
@@ -60,20 +44,9 @@ class Tap:
                 threading.Thread(target=self._return, args=(server, client), daemon=True).start()
 
     def _forward(self, client: sockets.socket, server: sockets.socket) -> None:
-        said = 0
         with contextlib.suppress(OSError):
-            while part := bytearray(client.recv(65536)):
-                if self.flip_at is not None and said <= self.flip_at < said + len(part):
-                    part[self.flip_at - said] ^= 0x40
-                    self.torn = True
-                if self.cut_at is not None and said + len(part) >= self.cut_at:
-                    server.sendall(part[: self.cut_at - said])
-                    reset(server)
-                    reset(client)
-                    self.torn = True
-                    return
+            while part := client.recv(65536):
                 self.said += part
-                said += len(part)
                 server.sendall(part)
             server.shutdown(sockets.SHUT_WR)
 
@@ -130,7 +103,7 @@ class Party:
         return self.taps[-1]
 
     def assert_served(self) -> None:
-        """Every process lives; every message has come; a call is answered; a newcomer hears the publisher soon."""
+        """Every process lives; every message has come; a call is answered; a newcomer receives the publisher soon."""
         assert self.net.daemon.poll() is None
         assert self.publisher.alive() and self.server.alive()
         for received in self.subscriber.drain():
@@ -155,37 +128,25 @@ class Party:
         until(still, "descriptors at rest", PATIENCE)
         return looks[-1]
 
-    def opened(self) -> str:
-        """What each process has open, for who wonders."""
-        found = []
-        for pid in self.pids:
-            process = psutil.Process(pid)
-            wires = sorted(f"{wire.laddr}-{wire.raddr} {wire.status}" for wire in process.net_connections())
-            found.append(f"{pid}: {process.num_fds()} open, of them {wires}")
-        return "\n".join(found)
-
     def memory(self) -> list[float]:
         """Of each process [MiB]."""
         return [psutil.Process(pid).memory_info().rss / 2**20 for pid in self.pids]
 
     @contextlib.contextmanager
     def nothing_grows(self) -> Iterator[None]:
-        """Descriptors are given back and memory is not eaten by what happens within."""
-        memory, before = self.memory(), self.opened()
+        """Descriptors are closed and memory is freed after the block."""
+        memory = self.memory()
         yield
-        try:
-            until(
-                lambda: all(now <= then for now, then in zip(self.descriptors(), self.settled, strict=True)),
-                f"descriptors are back to {self.settled}",
-                40.0,
-            )
-        except AssertionError as error:
-            raise AssertionError(f"{error}\nbefore:\n{before}\nnow:\n{self.opened()}") from None
+        until(
+            lambda: all(now <= then for now, then in zip(self.descriptors(), self.settled, strict=True)),
+            f"descriptors are back to {self.settled}",
+            40.0,
+        )
         grown = [now - then for now, then in zip(self.memory(), memory, strict=True)]
         assert max(grown) < MEMORY, f"memory grew by {grown} MiB"
 
     def record(self, kind: int, port: int, act: Callable[[zmq.Socket[bytes]], object]) -> bytes:
-        """What a member says on the wire when it does something."""
+        """What a member reports on the wire when it does something."""
         tap = self.tap(port)
         with bifrost.Node("recorded", network=self.net.network) as node:
             socket = node.discovery.connecting_socket(kind)
@@ -312,7 +273,7 @@ def test_a_replayed_handshake_gets_nothing(party: Party) -> None:
         socket.recv()
 
     said = split(party.record(zmq.SUB, publishing, hear))
-    assert party.taps[-1].answered > GREETING + WELCOME + 500  # it has heard messages
+    assert party.taps[-1].answered > GREETING + WELCOME + 500  # it has received messages
     for port in party.ports:
         with sockets.create_connection(("127.0.0.1", port), timeout=5.0) as connection:
             answer = b""
@@ -331,51 +292,9 @@ def test_a_replayed_handshake_gets_nothing(party: Party) -> None:
     party.assert_served()
 
 
-def test_resets_and_flipped_bits_within_frames(party: Party) -> None:
-    serving = party.ports[2]
-    question = b"lab/ask\0" + bytes(200_000)
-    handshake = len(b"".join(split(party.record(zmq.DEALER, serving, lambda s: (s.send(b""), s.poll(300))))[:3]))
-    chance = random.Random(1)
-    with party.nothing_grows(), bifrost.Node("member", network=party.net.network) as member:
-        for number in range(20):
-            tap = party.tap(serving)
-            at = handshake + chance.randrange(len(question))
-            tap.cut_at, tap.flip_at = (at, None) if number % 2 else (None, at)
-            socket = member.discovery.connecting_socket(zmq.DEALER)
-            socket.connect(tap.endpoint)
-            socket.send(question)
-            until(functools.partial(getattr, tap, "torn"), "the frame is torn")
-            socket.close()
-            tap.close()
-        party.assert_served()
-
-
 def test_no_port_of_a_node_or_daemon_is_without_curve(party: Party) -> None:
     """libzmq 4.3.5 ends the process on certain bytes sent to a socket without security."""
     latch = party.net.peer("latch", "lab/latched", "10")
     every = [*party.ports, *ports(latch.pid)]
     assert [mechanism(port) for port in every] == ["CURVE"] * len(every)
     latch.kill()  # its connection is no stranger's: whatever test comes next, nothing has grown
-
-
-def test_an_honest_member_is_served_while_strangers_keep_coming(party: Party) -> None:
-    stop = threading.Event()
-
-    def keep_coming() -> None:
-        chance = random.Random(2)
-        while not stop.is_set():
-            with (
-                contextlib.suppress(OSError),
-                sockets.create_connection(("127.0.0.1", chance.choice(party.ports))) as one,
-            ):
-                one.sendall(chance.randbytes(chance.randint(1, 500)))
-
-    thread = threading.Thread(target=keep_coming)
-    thread.start()
-    try:
-        end = time.monotonic() + 2.0
-        while time.monotonic() < end:
-            party.assert_served()
-    finally:
-        stop.set()
-        thread.join()

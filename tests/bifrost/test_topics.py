@@ -1,9 +1,6 @@
 """Publish and subscribe across real processes."""
 
-from __future__ import annotations
-
 import os
-import selectors
 import signal
 import socket as sockets
 import threading
@@ -16,55 +13,15 @@ import psutil
 import pytest
 
 import bifrost
-from harness.bifrost_network import (
-    BifrostNetwork,
-    Peer,
-    Sample,
-    connected,
-    sample,
-    sequences,
-    until,
-)
+from harness.bifrost_network import BifrostNetwork, Peer, Sample, connected, sample, sequences, until
+
+pytestmark = pytest.mark.portable
 
 
 class Other(bifrost.Message):
     """Another type for the same topic."""
 
     count: float
-
-
-def test_messages_of_another_process_arrive_whole_and_in_order(net: BifrostNetwork) -> None:
-    net.peer("publish", "lab/sample", "200")
-    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
-    received = [subscriber.receive(timeout=60.0) for _ in range(100)]
-    assert all(r is not None for r in received)
-    sequences = [r.sequence for r in received if r]
-    assert sequences == list(range(sequences[0], sequences[0] + 100))
-    stamps = [r.stamp for r in received if r]
-    assert stamps == sorted(stamps)
-    assert stamps[-1] <= time.monotonic_ns()
-    for r in received:
-        assert r is not None
-        assert r.origin == "publish_peer"
-        assert r.message == sample(r.message.count)
-        assert not r.message.values.flags.writeable
-        assert r.message.values.flags.aligned
-    assert (subscriber.drops, subscriber.rejected) == (0, 0)
-
-
-@pytest.mark.parametrize("order", ["daemon publisher subscriber", "subscriber publisher daemon",
-                                   "publisher subscriber daemon"])  # fmt: skip
-def test_any_order_of_arrival(bare_network: BifrostNetwork, order: str) -> None:
-    subscriber: bifrost.Subscriber[Sample] | None = None
-    for what in order.split():
-        if what == "daemon":
-            bare_network.start_daemon()
-        elif what == "publisher":
-            bare_network.peer("publish", "lab/sample", "100")
-        else:
-            subscriber = bare_network.node("test").subscriber("lab/sample", Sample)
-    assert subscriber is not None
-    assert subscriber.receive(timeout=60.0) is not None
 
 
 def test_latest_gives_the_newest_and_queue_gives_all(net: BifrostNetwork) -> None:
@@ -87,7 +44,7 @@ def test_latest_gives_the_newest_and_queue_gives_all(net: BifrostNetwork) -> Non
     assert (queue.drops, latest.drops) == (0, 0)
 
 
-def test_what_a_queue_cannot_hold_is_counted(net: BifrostNetwork) -> None:
+def test_drops_of_a_full_queue_are_counted(net: BifrostNetwork) -> None:
     publisher = net.node("publisher").publisher("lab/sample", Sample)
     subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue=10)
     first = connected(publisher, subscriber)
@@ -115,8 +72,10 @@ def test_a_killed_publisher_is_replaced_without_a_gap(net: BifrostNetwork) -> No
     subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
     for _ in range(20):
         assert subscriber.receive(timeout=60.0) is not None
+    assert len(subscriber.publishers) == 1
     peer.kill()
     killed = time.monotonic_ns()
+    until(lambda: not subscriber.publishers, "the killed publisher is not listed", 5.0)
     subscriber.drain()
     net.peer("publish", "lab/sample", "200")
 
@@ -130,16 +89,7 @@ def test_a_killed_publisher_is_replaced_without_a_gap(net: BifrostNetwork) -> No
     until(lambda: subscriber.drain() is not None and len(subscriber.publishers) == 1, "the dead one is let go")
 
 
-def test_a_killed_publisher_is_known_to_be_gone_while_its_last_words_may_still_come(net: BifrostNetwork) -> None:
-    peer = net.peer("publish", "lab/sample", "200")
-    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=1000)
-    assert subscriber.receive(timeout=60.0) is not None
-    assert len(subscriber.publishers) == 1
-    peer.kill()
-    until(lambda: not subscriber.publishers, "the killed publisher is gone", 5.0)  # before its connection is given up
-
-
-def test_another_type_is_refused_and_both_are_named(net: BifrostNetwork) -> None:
+def test_another_type_is_rejected_and_both_are_named(net: BifrostNetwork, caplog: pytest.LogCaptureFixture) -> None:
     node = net.node("publisher")
     wrong, right = node.publisher("lab/sample", Other), node.publisher("lab/other", Sample)
     other = net.node("subscriber")
@@ -147,11 +97,9 @@ def test_another_type_is_refused_and_both_are_named(net: BifrostNetwork) -> None
     connected(right, accepting)
     wrong.publish(Other(1.0))
     assert refusing.receive(timeout=0.2) is None
-    [error] = until(lambda: refusing.mismatches if refusing.drain() == [] else [], "the mismatch is known")
-    assert isinstance(error, bifrost.SchemaError)
-    for word in ("lab/sample", "publisher", "subscriber", "Other", "Sample"):
-        assert word in str(error)
-    assert "\n" not in str(error)
+    [record] = until(lambda: refusing.drain() == [] and caplog.records, "the warning")
+    for word in ("lab/sample: publisher publishes Other", "subscriber expects Sample"):
+        assert word in record.getMessage()
 
 
 def test_two_publishers_of_one_topic_and_two_threads_of_one_node(net: BifrostNetwork) -> None:
@@ -178,7 +126,7 @@ def test_two_publishers_of_one_topic_and_two_threads_of_one_node(net: BifrostNet
 
 
 @pytest.mark.parametrize("queue", [None, 100])
-def test_who_comes_late_gets_the_last_of_a_latched_publisher_once(net: BifrostNetwork, queue: int | None) -> None:
+def test_a_late_subscriber_gets_the_last_latched_message_once(net: BifrostNetwork, queue: int | None) -> None:
     publisher = net.node("publisher").publisher("lab/sample", Sample, latched=True)
     for count in range(5):
         publisher.publish(sample(count))
@@ -251,33 +199,6 @@ def cut(local: int, remote: int) -> None:
                 duplicate.shutdown(sockets.SHUT_RDWR)
 
 
-@pytest.mark.parametrize(("drop", "kept"), [("oldest", list(range(190, 200))), ("newest", list(range(10)))])
-def test_a_full_queue_drops_what_it_was_told_to(net: BifrostNetwork, drop: Any, kept: list[int]) -> None:
-    publisher = net.node("publisher").publisher("lab/sample", Sample)
-    subscriber = net.node("test").subscriber("lab/sample", Sample, queue=10, drop=drop)
-    witness = net.node("witness").subscriber("lab/sample", Sample, queue=10_000)
-    start = connected(publisher, subscriber, witness)
-    for count in range(200):
-        publisher.publish(sample(count))
-    while (received := witness.receive(timeout=60.0)) and received.sequence < start + 200:
-        pass
-    if drop == "oldest":
-        until(lambda: subscriber.drops == 190, "what the queue cannot hold is dropped")
-        assert bifrost.wait([subscriber], timeout=5.0) == [subscriber]
-    # What the witness has may still be on its way to this subscriber: all that comes until it is quiet.
-    counts = [received.message.count for received in iter(lambda: subscriber.receive(timeout=1.0), None)]
-    assert counts[: len(kept)] == kept  # the network's buffers hold more than a queue that drops the newest
-    assert subscriber.drops == (190 if drop == "oldest" else 0)
-    with selectors.DefaultSelector() as selector:
-        selector.register(subscriber.fileno(), selectors.EVENT_READ)
-        subscriber.drain()
-        publisher.publish(sample(7))
-        assert selector.select(timeout=5.0)
-    last = subscriber.receive(timeout=60.0)
-    assert last is not None and last.message.count == 7
-    subscriber.close()
-
-
 def test_a_stopped_subscriber_does_not_delay_the_publisher(net: BifrostNetwork) -> None:
     peer = net.peer("subscribe", "lab/sample", "100")
     publisher = net.node("publisher").publisher("lab/sample", Sample)
@@ -333,7 +254,7 @@ def test_closing_gives_everything_back(net: BifrostNetwork) -> None:
         node.publisher("lab/sample", Sample)
 
 
-def test_wrong_use_is_told_at_once(net: BifrostNetwork) -> None:
+def test_wrong_use_raises_at_once(net: BifrostNetwork) -> None:
     node = net.node("test")
     publisher = node.publisher("lab/sample", Sample)
     with pytest.raises(TypeError, match=r"lab/sample: expected Sample, got Other"):
@@ -345,21 +266,7 @@ def test_wrong_use_is_told_at_once(net: BifrostNetwork) -> None:
             node.subscriber(name, Sample)
     with pytest.raises(ValueError, match="at least 1"):
         node.subscriber("lab/sample", Sample, queue=0)
-    with pytest.raises(ValueError, match="drop: expected newest or oldest"):
-        node.subscriber("lab/sample", Sample, queue=1, drop="all")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="drop: expected a queue"):
-        node.subscriber("lab/sample", Sample, drop="oldest")
     assert publisher.publish(sample(1)) == 1  # nothing was sent above
     publisher.close()
     with pytest.raises(bifrost.Error, match="closed"):
         publisher.publish(sample(1))
-
-
-def test_any_type_is_decoded_by_its_registered_schema(net: BifrostNetwork) -> None:
-    net.peer("publish", "lab/sample", "100")
-    received = net.node("test").subscribe_any("lab/sample", queue=10).receive(timeout=60.0)
-    assert received is not None
-    message = received.message
-    assert not isinstance(message, Sample)
-    assert type(message).__name__ == "Sample"
-    assert bifrost.to_builtins(message) == bifrost.to_builtins(sample(getattr(message, "count")))  # noqa: B009

@@ -1,7 +1,5 @@
 """The boundaries of the architecture: who may import whom, and which modules the processes of the table name."""
 
-from __future__ import annotations
-
 import importlib.util
 import shutil
 import subprocess
@@ -51,3 +49,9 @@ def test_every_service_of_the_table_has_statistics_and_topics_name_their_publish
     assert {topic.owner for topic in TOPICS} | {topic.owner for topic in SERVICE_TOPICS} <= names
     every = [topic.name for topic in TOPICS] + [topic.name for topic in SERVICE_TOPICS]
     assert len(every) == len(set(every))
+
+
+def test_the_table_of_client_tests_names_tests_that_exist() -> None:
+    command = [sys.executable, ".ci/clients", "all"]
+    listed = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert listed.stdout and not listed.stderr

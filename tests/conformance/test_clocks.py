@@ -1,6 +1,4 @@
-"""Whoever sets the computer's clock stops no robot: what passes is told by a clock that nobody sets."""
-
-from __future__ import annotations
+"""Setting the computer's clock stops no robot: durations are measured by a monotonic clock."""
 
 import ast
 from collections.abc import Iterator
@@ -13,28 +11,25 @@ from harness.places import REPOSITORY
 WALL = {"time", "time_ns", "now", "utcnow", "today", "localtime", "gmtime"}
 DATES = {
     "services/bag_recorder/clock.py": "dates of recordings",
-    "services/bag_recorder/housekeeper.py": "ages of recordings, from one look at the clock",
-    "services/bag_recorder/shelf.py": "names of recordings",
+    "services/bag_recorder/bag_store.py": "names and ages of recordings",
     "services/foxglove_bridge/scene.py": "stamps of what is shown, as those of what is recorded",
-    "services/link_robot/view.py": "how long ago the middleware stamped a picture",
-    "services/operator_station/front.py": "a page's time of day",
-    "services/operator_station/service.py": "a page's time of day",
+    "services/link_robot/observer.py": "how long ago the middleware stamped a picture",
+    "services/operator_station/tabs/status.py": "a page's time of day",
     "valor/bags/recordings.py": "ages of recordings",
-    "valor/door/certificate.py": "until when a certificate is valid",
+    "valor/bags/retention.py": "ages of recordings",
     "valor/ros/lateness.py": "how long ago the middleware stamped a message",
-    "valor/ros/rosout.py": "stamps of lines of the log",
-    "valor/valorctl/recording_list.py": "ages of recordings",
-    "valor/valorctl/recording_report.py": "ages of recordings",
-    "valor/valorctl/log_view.py": "since when logs are shown",
-    "valor/valorctl/verbs/observation.py": "since when logs are shown",
-    "valor/valorctl/experiments/experiment.py": "when an experiment was made",
-    "valor/valorctl/hosts/agent.py": "how far hosts' wall clocks are apart",
-    "valor/valorctl/hosts/diagnosis.py": "how far hosts' wall clocks are apart",
-    "valor/valorctl/presence.py": "how long a process runs, whose begin the kernel gives so",
-    "valor/valorctl/status_view.py": "since when a behavior lasts",
-    "valor/valorctl/watch.py": "since when a behavior lasts",
+    "valor/ros/node.py": "stamps of lines of the log",
+    "valor/valorctl/recordings/bag_summary.py": "ages of recordings",
+    "valor/valorctl/recordings/recording_report.py": "ages of recordings",
+    "valor/valorctl/status/observation_verbs.py": "since when logs are shown",
+    "thesis/experiments/experiment.py": "when an experiment was made",
+    "valor/valorctl/hosts/orders.py": "how far hosts' wall clocks are apart",
+    "valor/valorctl/hosts/remote.py": "how far hosts' wall clocks are apart",
+    "valor/valorctl/instance/running.py": "how long a process runs, whose begin the kernel gives so",
+    "valor/valorctl/status/status_view.py": "since when a behavior lasts",
+    "valor/valorctl/status/status.py": "since when a behavior lasts",
 }
-"""Where dates are meant, and nothing that moves a robot or says who is alive."""
+"""Where dates are meant, and nothing that moves a robot or determines which process is alive."""
 
 
 def wall_clocks(source: str) -> Iterator[str]:
@@ -51,13 +46,13 @@ def wall_clocks(source: str) -> Iterator[str]:
 
 def product() -> Iterator[Path]:
     """Every module, each once: packages of services are linked into ``valor``."""
-    for folder in ("bifrost", "services", "valor"):
+    for folder in ("bifrost", "services", "thesis", "valor"):
         for file in (REPOSITORY / folder).rglob("*.py"):
             if not any(parent.is_symlink() for parent in file.parents):
                 yield file
 
 
-def test_durations_are_told_by_a_clock_that_nobody_sets() -> None:
+def test_durations_are_measured_by_a_monotonic_clock() -> None:
     found = {str(file.relative_to(REPOSITORY)) for file in product() if list(wall_clocks(file.read_text()))}
     assert found == set(DATES)
 

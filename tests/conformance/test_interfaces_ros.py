@@ -1,7 +1,5 @@
 """The compiled packages interoperate: names, fields and constants are the public ones, and rclpy carries them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -12,22 +10,9 @@ from typing import Any
 import pytest
 import rclpy
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import (
-    DynamicJointState,
-    InterfaceValue,
-    JointComponentTolerance,
-    JointTolerance,
-    JointTrajectoryControllerState,
-)
+from control_msgs.msg import JointComponentTolerance, JointTolerance, JointTrajectoryControllerState
 from control_msgs.srv import QueryTrajectoryState
-from controller_manager_msgs.msg import (
-    ChainConnection,
-    ControllerManagerActivity,
-    ControllerState,
-    HardwareComponentState,
-    HardwareInterface,
-    NamedLifecycleState,
-)
+from controller_manager_msgs.msg import ChainConnection, ControllerState, HardwareComponentState, HardwareInterface
 from controller_manager_msgs.srv import (
     ListControllers,
     ListControllerTypes,
@@ -86,16 +71,10 @@ FIELDS = {
     | {"multi_dof_joint_names": "sequence<string>"}
     | dict.fromkeys(("multi_dof_reference", "multi_dof_feedback", "multi_dof_error", "multi_dof_output"), MULTI)
     | {"speed_scaling_factor": "double"},
-    InterfaceValue: {"interface_names": "sequence<string>", "values": "sequence<double>"},
-    DynamicJointState: HEADER
-    | {"joint_names": "sequence<string>", "interface_values": "sequence<control_msgs/InterfaceValue>"},
     QueryTrajectoryState.Request: {"time": "builtin_interfaces/Time"},
     QueryTrajectoryState.Response: {"success": "boolean", "message": "string", "name": "sequence<string>"}
     | dict.fromkeys(("position", "velocity", "acceleration"), "sequence<double>"),
     ChainConnection: {"name": "string", "reference_interfaces": "sequence<string>"},
-    NamedLifecycleState: {"name": "string", "state": "lifecycle_msgs/State"},
-    ControllerManagerActivity: HEADER
-    | dict.fromkeys(("controllers", "hardware_components"), f"sequence<{MANAGER}/NamedLifecycleState>"),
     ControllerState: {"name": "string", "state": "string", "type": "string", "is_async": "boolean"}
     | {"update_rate": "uint16"}
     | dict.fromkeys(
@@ -251,9 +230,9 @@ def test_an_action_and_a_message_cross_between_processes(node: tuple[Node, Singl
     try:
         from valor_msgs.msg import JointSetpoints
 
-        heard: list[JointSetpoints] = []
+        received: list[JointSetpoints] = []
         feedback: list[FollowJointTrajectory.Feedback] = []
-        ours.create_subscription(JointSetpoints, "setpoints", heard.append, 10)
+        ours.create_subscription(JointSetpoints, "setpoints", received.append, 10)
         client = ActionClient(ours, FollowJointTrajectory, "arm/follow_joint_trajectory")
         assert client.wait_for_server(timeout_sec=20), "no action server"
         goal = FollowJointTrajectory.Goal()
@@ -269,7 +248,7 @@ def test_an_action_and_a_message_cross_between_processes(node: tuple[Node, Singl
         executor.spin_until_future_complete(done, timeout_sec=20)
         assert done.result() is not None, "no result"
         for _ in range(200):
-            if heard and feedback:
+            if received and feedback:
                 break
             executor.spin_once(timeout_sec=0.1)
 
@@ -277,10 +256,10 @@ def test_an_action_and_a_message_cross_between_processes(node: tuple[Node, Singl
         assert (result.error_code, result.error_string) == (-5, "r_elbow_pitch: 0.1 rad")
         assert feedback[0].header.frame_id == "r_elbow_pitch"
         assert list(feedback[0].desired.positions) == [0.5, -1.25]
-        assert heard[0].names == goal.trajectory.joint_names
-        assert list(heard[0].position) == [0.5, -1.25]
-        assert (heard[0].bifrost_sequence, heard[0].time) == (2**64 - 1, -(2**63))
-        assert heard[0].header.frame_id == "valor_ros_controller"
+        assert received[0].names == goal.trajectory.joint_names
+        assert list(received[0].position) == [0.5, -1.25]
+        assert (received[0].bifrost_sequence, received[0].time) == (2**64 - 1, -(2**63))
+        assert received[0].header.frame_id == "valor_ros_controller"
     finally:
         server.kill()
         server.wait()

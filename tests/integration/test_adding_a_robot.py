@@ -1,7 +1,5 @@
 """docs/adding-a-robot.md as it is read: every command, one after the other, until the new robot has walked."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil
@@ -29,7 +27,7 @@ def commands() -> list[list[str]]:
 def test_a_model_walks(home: Path, tmp_path: Path) -> None:
     before = shared_memory()
     system = System(INSTANCE, home)
-    told = []
+    reported = []
     try:
         for program, *arguments in commands():
             assert program == "valorctl"
@@ -37,10 +35,10 @@ def test_a_model_walks(home: Path, tmp_path: Path) -> None:
                 model = tmp_path / arguments[2]
                 model.parent.mkdir(parents=True)
                 shutil.copy(ROBOTS / "escher" / "model.xml", model)
-            told.append(system.valorctl(*arguments, timeout=300.0, folder=tmp_path).stdout)
+            reported.append(system.valorctl(*arguments, timeout=300.0, folder=tmp_path).stdout)
     finally:
         system.valorctl("down")
     assert (tmp_path / "g1" / "robot.yaml").is_file()
     assert matplotlib.image.imread(tmp_path / "g1.png")[:, :, :3].std() > 0.05
-    assert "walked " in "".join(told)
+    assert "walked " in "".join(reported)
     assert leftovers(home, system.name, before) == []

@@ -1,11 +1,8 @@
 """``valorctl calibrate arm`` on a robot with worn arms: what it finds, refuses, and leaves when interrupted."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,12 +11,12 @@ import numpy as np
 import pytest
 
 from harness.places import ROBOTS
-from harness.system import VALORCTL, RosClient, System, running
+from harness.system import RosClient, System, running
 from harness.waiting import wait_until
 from valor.robot import arm_calibration
 from valor.robot.arm_calibration import FILE
 from valor.robot.description import RobotDescription
-from valor.simulation.gears import Gears
+from valor.simulation.actuators import Gears
 
 ARM = "right_arm"
 PATIENCE = 240.0  # [s]
@@ -50,17 +47,6 @@ def client(system: System) -> Iterator[RosClient]:
     made.close()
 
 
-def start(system: System, *arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [str(VALORCTL), *arguments],
-        env=system.environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        stdin=subprocess.DEVNULL,
-        text=True,
-    )
-
-
 def off(client: RosClient, robot: RobotDescription, home: dict[str, float]) -> float:
     """How far the arm is from where it was [rad]."""
     now = client.joint_positions()
@@ -71,7 +57,7 @@ def test_interrupted_the_arm_is_back_and_nothing_is_written(
     system: System, client: RosClient, robot: RobotDescription
 ) -> None:
     home = client.joint_positions()
-    process = start(system, "calibrate", "arm", "right")
+    process = system.start("calibrate", "arm", "right")
     try:
         wait_until(lambda: process.poll() is not None or off(client, robot, home) > MOVED, PATIENCE, "the arm moves")
         process.send_signal(signal.SIGINT)
@@ -86,11 +72,8 @@ def test_interrupted_the_arm_is_back_and_nothing_is_written(
 
 
 def test_it_finds_what_the_arm_is_and_the_robot_keeps_it(system: System, robot: RobotDescription) -> None:
-    picture = robot.folder.parent / "left.png"
-    told = system.valorctl(
-        "calibrate", "arm", "right", "--poses", "3", "--plot", str(picture), "--json", timeout=PATIENCE
-    )
-    found = json.loads(told.stdout)
+    output = system.valorctl("calibrate", "arm", "right", "--poses", "3", "--json", timeout=PATIENCE)
+    found = json.loads(output.stdout)
     assert found["file"] == str(robot.folder / FILE)
     table = arm_calibration.load(robot)
     assert table is not None
@@ -107,18 +90,8 @@ def test_it_finds_what_the_arm_is_and_the_robot_keeps_it(system: System, robot: 
     assert all(width == pytest.approx(truth, abs=0.012) for width, truth in shown)
     for name, joint in table.right_arm.joints.items():
         assert joint.residual < found[ARM]["nominal_residual"][name]
-    assert picture.stat().st_size > 10_000
     assert system.status()["control_mode"] == "stand"
     system.valorctl("robot", "check", str(robot.folder), "--no-play")
-
-
-def test_a_dry_run_says_what_it_would_write(system: System, robot: RobotDescription) -> None:
-    file = robot.folder / FILE
-    before = file.read_bytes()
-    told = system.valorctl("calibrate", "arm", "left", "--poses", "3", "--dry-run", timeout=PATIENCE).stdout
-    assert f"{file} would be:\n# What `valorctl calibrate arm` found" in told
-    assert "left_arm:" in told
-    assert file.read_bytes() == before
 
 
 def test_what_cannot_be_calibrated_is_refused_in_one_line(
@@ -127,21 +100,21 @@ def test_what_cannot_be_calibrated_is_refused_in_one_line(
     file = robot.folder / FILE
     shutil.rmtree(file.parent, ignore_errors=True)
     file.parent.write_text("in the way")
-    told = system.valorctl("calibrate", "arm", expect=1).stderr
-    assert told == f"valorctl: {file}: cannot be written: Not a directory\n"
+    output = system.valorctl("calibrate", "arm", expect=1).stderr
+    assert output == f"valorctl: {file}: cannot be written: Not a directory\n"
     file.parent.unlink()
     system.valorctl("mode", "stand_manipulate")
     home = client.joint_positions()
-    mover = start(system, "arm", "right", "forward", "--speed", "0.05")
+    mover = system.start("arm", "right", "forward", "--speed", "0.05")
     try:
         wait_until(lambda: off(client, robot, home) > LED, PATIENCE, "the arm is led")
-        told = system.valorctl("calibrate", "arm", "right", "--dry-run", expect=1, timeout=PATIENCE).stderr
-        assert "somebody else moves it" in told
+        output = system.valorctl("calibrate", "arm", "right", "--dry-run", expect=1, timeout=PATIENCE).stderr
+        assert "another client moves it" in output
     finally:
         mover.send_signal(signal.SIGINT)
         mover.communicate(timeout=PATIENCE)
     system.valorctl("stop", "--freeze")
-    told = system.valorctl("calibrate", "arm", expect=1).stderr
-    assert told.startswith("valorctl: calibrate left arm: the robot is in freeze: ")
-    assert told.endswith("; expected one that stands\n")
+    output = system.valorctl("calibrate", "arm", expect=1).stderr
+    assert output.startswith("valorctl: calibrate left arm: the robot is in freeze: ")
+    assert output.endswith("; expected stand or stand_manipulate\n")
     assert not file.exists()

@@ -1,36 +1,33 @@
 """The Comms Manager's simulation as a process: clocks, silence, refusals, pushes, restarts."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 import bifrost
-from harness.comms_manager_alone import Newest, Watch, client_process, start
 from harness.instance import RunningInstance
 from harness.places import REPOSITORY
-from harness.servo_client import ServoClient
 from harness.waiting import wait_until
+from tests.integration.comms_manager_alone import Newest, Watch, client_process, start
+from tests.integration.servo_client import ServoClient
+from valor.common.behaviors import Behavior
 from valor.common.messages import (
+    BehaviorRequest,
     GroundTruth,
     JointMode,
     Motor,
     Proprioceptor,
     PushReply,
     PushRequest,
+    TimeReply,
+    TimeRequest,
 )
 from valor.common.processes import EXIT_CONFIGURATION
-from valor.common.topics import (
-    MOTOR,
-    PROPRIOCEPTOR,
-    PUSH,
-)
+from valor.common.topics import MOTOR, PAUSED, PROPRIOCEPTOR, PUSH, SIMULATED_TIME, STOP
 from valor.comms_manager.simulation.clock import BACKLOG
 from valor.robot.description import RobotDescription
 
@@ -55,14 +52,13 @@ def upright(truth: GroundTruth) -> bool:
     return bool(truth.com_in_world[2] > 0.83 and 1 - 2 * (x * x + y * y) > 0.99 and truth.contacts.all())
 
 
-@pytest.mark.parametrize("actuators", ["ideal", "hardware"])
-def test_stands_passively_for_twenty_seconds(instance: RunningInstance, actuators: str) -> None:
-    start(instance, actuators=actuators)
+def test_stands_passively(instance: RunningInstance) -> None:
+    start(instance)
     node = instance.node()
     watch, proprioceptor = Watch(node), Newest(node, PROPRIOCEPTOR)
     with client_process(instance):
         settled = watch.truth_at(5.0)
-        truth, state, clock = watch.truth_at(20.0, timeout=400.0), proprioceptor(), watch.clock()
+        truth, state, clock = watch.truth_at(10.0, timeout=400.0), proprioceptor(), watch.clock()
     assert upright(truth)
     assert np.abs(truth.com_in_world - settled.com_in_world).max() < 0.002
     assert np.abs(state.joint_velocity).max() < 0.2
@@ -85,12 +81,11 @@ def test_nothing_moves_before_the_first_motor(instance: RunningInstance) -> None
     np.testing.assert_allclose(first.joint_position, ROBOT.nominal_posture, atol=0.002)
     refused = Pusher(node)(10.0, 0.0, 0.0)
     assert not refused.accepted
-    assert "not begun" in refused.reason
+    assert "has not started" in refused.reason
     assert client.run_to(0.1).sequence == first.sequence + 50
 
 
-@pytest.mark.parametrize("real_time_factor", [0.0, 1.0])
-def test_lockstep_repeats_bit_for_bit(instance: RunningInstance, real_time_factor: float) -> None:
+def test_lockstep_repeats_bit_for_bit(instance: RunningInstance) -> None:
     """The whole loop, feedback included: the client's posture depends on what it measures."""
 
     class Reflex(ServoClient):
@@ -101,7 +96,7 @@ def test_lockstep_repeats_bit_for_bit(instance: RunningInstance, real_time_facto
 
     runs = []
     for _ in range(2):
-        start(instance, seed=7, real_time_factor=real_time_factor)
+        start(instance, seed=7, real_time_factor=1.0)
         client = Reflex(instance.node(), ROBOT, keep=True)
         client.run_to(1.0)
         instance.stop("comms_manager")
@@ -157,61 +152,36 @@ def test_silence_holds_the_joints_and_a_new_motor_ends_it(instance: RunningInsta
     assert fresh.hear().time > state.time
 
 
-def spoil(field: str, value: object) -> Callable[[Motor], None]:
-    def change(motor: Motor) -> None:
-        if isinstance(value, float):
-            vector = getattr(motor, field).copy()
-            vector[5] = value
-            setattr(motor, field, vector)
-        else:
-            setattr(motor, field, value)
-
-    return change
+def not_finite(motor: Motor) -> None:
+    motor.effort[5] = np.nan
 
 
-UNSOUND = {
-    "not finite: position": spoil("position", float("nan")),
-    "not finite: velocity": spoil("velocity", float("inf")),
-    "not finite: effort": spoil("effort", float("-inf")),
-    "not finite: stiffness": spoil("stiffness", float("nan")),
-    "not finite: damping": spoil("damping", float("nan")),
-    "wrong length": spoil("position", np.zeros(37)),
-    "wrong length: mode": spoil("mode", np.zeros(0, np.uint8)),
-    "unknown mode": spoil("mode", np.full(38, 4, np.uint8)),
-    "negative gain": spoil("damping", -1.0),
-    "answers no state of this world": spoil("proprioceptor_sequence", 1),
-    "answers no state of this world: the future": spoil("proprioceptor_sequence", 2**62),
-    "of an older Motion Manager": spoil("writer", 1),
-}
+def of_an_older_motion_manager(motor: Motor) -> None:
+    motor.writer = 1
 
 
-def test_unsound_motors_are_refused_whole_and_move_nothing(instance: RunningInstance) -> None:
+def test_unsound_motors_are_rejected_completely_and_move_nothing(instance: RunningInstance) -> None:
     start(instance, actuators="ideal")
     node = instance.node()
     watch, client = Watch(node), ServoClient(node, ROBOT)
     state = client.run_to(0.5)
     before = watch.statistics().rejected
-    for kind, change in UNSOUND.items():
+    for spoil in (not_finite, of_an_older_motion_manager):
         bad = client.command(state)
         bad.mode = np.full(38, JointMode.FORCE, dtype=np.uint8)
-        bad.effort = np.full(38, 100.0)  # were it obeyed, the robot would be thrown over
-        change(bad)
+        bad.effort = np.full(38, 100.0)  # it would throw the robot over
+        spoil(bad)
         client.publish(bad)
         good = client.command(state)
         client.publish(good)
-        # The world goes on with the good one, which shows that the other was not obeyed and was not waited for.
         after = client.answer_until(lambda s, sent=good.sequence: s.motor_sequence >= sent)  # type: ignore[misc]
-        assert after.motor_sequence >= good.sequence, kind
-        assert np.abs(after.joint_effort).max() < 150, kind
+        assert np.abs(after.joint_effort).max() < 150, spoil.__name__
         client.publish(client.command(after))  # the world waits for an answer to each of its states
         state = client.run_to(after.time * 1e-9 + 0.05)
     client.publish(client.command(state))
-    client.answer_until(lambda _: watch.statistics().rejected - before == len(UNSOUND))
+    client.answer_until(lambda _: watch.statistics().rejected - before == 2)
     assert upright(watch.truth())
-    log = instance.log("comms_manager")
-    assert log.count(" refused: ") == len({kind.partition(":")[0] for kind in UNSOUND}), log  # once a kind
-    for kind in UNSOUND:
-        assert kind.partition(":")[0] in log
+    assert instance.log("comms_manager").count(" rejected: ") == 2
 
 
 def test_a_push_moves_the_robot_and_bad_ones_are_refused(instance: RunningInstance) -> None:
@@ -222,11 +192,7 @@ def test_a_push_moves_the_robot_and_bad_ones_are_refused(instance: RunningInstan
         before = watch.truth_at(5.0)
         for impulse, duration, reason in (
             ((np.nan, 0, 0), 0.1, "impulse_in_world"),
-            ((0, np.inf, 0), 0.1, "impulse_in_world"),
             ((0, 501, 0), 0.1, "at most 500"),
-            ((1, 2), 0.1, "expected 3"),
-            ((1, 0, 0), np.nan, "duration"),
-            ((1, 0, 0), -0.1, "duration"),
             ((1, 0, 0), 2.1, "up to 2"),
         ):
             reply = push(*impulse, duration=duration)
@@ -272,18 +238,6 @@ def test_waits_out_a_stopped_controller_and_never_replays(instance: RunningInsta
         assert upright(watch.truth())
 
 
-def test_realtime_holds_when_the_controller_is_gone(instance: RunningInstance) -> None:
-    start(instance, clock="realtime")
-    watch = Watch(instance.node())
-    with client_process(instance):
-        watch.truth_at(1.0)
-    gone = watch.truth()
-    wait_until(lambda: watch.clock().holding, 30, "the joints are held")
-    later = watch.truth_at(gone.time * 1e-9 + 1)
-    assert upright(later)
-    assert "nobody publishes Motor" in instance.log("comms_manager")
-
-
 def test_motors_for_an_earlier_world_are_not_obeyed(instance: RunningInstance) -> None:
     start(instance)
     node = instance.node()
@@ -301,26 +255,15 @@ def test_motors_for_an_earlier_world_are_not_obeyed(instance: RunningInstance) -
     assert client.run_to(0.1).time >= 0.1e9
 
 
-@pytest.mark.parametrize(
-    ("setting", "value", "message"),
-    [
-        ("world", "moon", "world 'moon': expected one of flat"),
-        ("actuators", "perfect", "actuators 'perfect'"),
-        ("real_time_factor", -1.0, "real_time_factor -1"),
-    ],
-)
-def test_bad_settings_end_it_with_one_line(
-    instance: RunningInstance, setting: str, value: object, message: str
-) -> None:
-    instance.configure(**{setting: value})
+def test_a_bad_setting_ends_it_with_one_line(instance: RunningInstance) -> None:
+    instance.configure(world="moon")
     process = instance.start("comms_manager")
     assert process.wait(30) == EXIT_CONFIGURATION
-    lines = instance.log("comms_manager").strip().splitlines()
-    assert len(lines) == 1
-    assert message in lines[0]
+    (line,) = instance.log("comms_manager").strip().splitlines()
+    assert "world 'moon': expected one of flat" in line
 
 
-def test_stops_when_told_while_standing_by_waiting_and_running(instance: RunningInstance) -> None:
+def test_stops_when_requested_while_standing_by_waiting_and_running(instance: RunningInstance) -> None:
     start(instance)
     assert instance.stop("comms_manager") == 0
     start(instance)
@@ -328,3 +271,63 @@ def test_stops_when_told_while_standing_by_waiting_and_running(instance: Running
     client.run_to(0.2)
     assert instance.stop("comms_manager") == 0
     assert "Traceback" not in instance.log("comms_manager")
+
+
+def test_time_is_paused_stepped_slowed_down_and_a_stop_lets_it_pass(instance: RunningInstance) -> None:
+    start(instance)
+    node = instance.node()
+    watch, client, stop = Watch(node), SIMULATED_TIME.client(node), STOP.client(node)
+
+    def ask(wanted: str, value: float = 0.0) -> TimeReply:
+        return client.call(TimeRequest(wanted, value), timeout=10.0)
+
+    assert "has not started" in ask("pause").reason
+    with client_process(instance):
+        watch.truth_at(0.2)
+        paused = ask("pause")
+        assert paused.accepted and paused.paused
+        wait_until(lambda: watch.clock().mode == PAUSED, 10, "it says so")
+        assert ask("").time == paused.time
+        assert "paused" in watch.statistics().detail
+        period = round(ROBOT.control_period * 1e9)
+        for count in (1, 7):
+            before = ask("").time
+            assert ask("step", count).accepted
+            wait_until(lambda: ask("").paused, 10, "the steps are done")
+            assert ask("").time == before + count * period
+        for wanted, value in (
+            ("step", 0),
+            ("step", 1.5),
+            ("step", np.nan),
+            ("factor", -1),
+            ("factor", np.nan),
+            ("x", 0),
+        ):
+            refused = ask(wanted, value)
+            assert not refused.accepted
+            assert refused.paused and refused.reason.startswith("wanted" if wanted == "x" else wanted)
+        assert ask("factor", 0.1).accepted
+        began, clock = ask("resume").time, time.monotonic()
+        watch.truth_at(began * 1e-9 + 0.1)
+        assert time.monotonic() - clock > 0.5, "a tenth of the wall's time"
+        assert ask("pause").paused
+        stop.call(BehaviorRequest(Behavior.FREEZE), timeout=10.0)
+        assert not ask("").paused
+
+
+def test_any_body_of_the_robot_is_pushed_and_none_of_the_world(instance: RunningInstance) -> None:
+    start(instance)
+    node = instance.node()
+    watch, pusher = Watch(node), PUSH.client(node)
+    with client_process(instance):
+        before = watch.truth_at(2.0)
+        for body in ("world", "floor", "nobody"):
+            refused = pusher.call(PushRequest(np.array((1.0, 0.0, 0.0)), 0.1, body), timeout=10.0)
+            assert refused.reason.startswith(f"body: '{body}'")
+        elbow, hand = ROBOT.index["l_elbow_pitch"], "l_hand"
+        assert pusher.call(PushRequest(np.array((0.0, 0.0, 3.0)), 0.1, hand), timeout=10.0).accepted
+        wait_until(
+            lambda: abs(watch.truth().joint_position[elbow] - before.joint_position[elbow]) > 0.01,
+            30,
+            "the arm gives way",
+        )

@@ -1,7 +1,5 @@
 """The thesis' experiments as a person runs them, in their short form, and the report of them."""
 
-from __future__ import annotations
-
 import csv
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +9,7 @@ from typing import Any
 import pytest
 
 from harness.system import System, leftovers, shared_memory
-from valor.valorctl.verbs.experiments import INSTANCE
+from thesis.verbs import INSTANCE
 
 
 @pytest.fixture
@@ -33,8 +31,8 @@ def test_experiments_leave_results_and_a_report_gathers_them(system: System, hom
     out = home / "out"
 
     def run(on: System, name: str) -> None:
-        told = on.valorctl("experiment", name, "--quick", "--seed", "2", "--out", str(out), timeout=170.0).stdout
-        assert str(out / name / "result.json") in told
+        output = on.valorctl("experiment", name, "--quick", "--seed", "2", "--out", str(out), timeout=170.0).stdout
+        assert str(out / name / "result.json") in output
 
     with ThreadPoolExecutor(1) as beside:  # messages between two ends load nothing
         other = System("messages", home)
@@ -70,10 +68,10 @@ def test_experiments_leave_results_and_a_report_gathers_them(system: System, hom
         assert floor > 0.0
         assert less == pytest.approx(whole - floor, abs=0.02)
 
-    told = system.valorctl("report", str(out)).stdout
-    assert "3 of 5 experiments" in told
-    assert "not there: process-stats, end-effector" in told
+    output = system.valorctl("report", str(out)).stdout
+    assert "3 of 5 experiments" in output
+    assert "not run: process-stats, end-effector" in output
     assert (out / "report" / "report.html").stat().st_size > 100_000
-    assert (out / "report" / "report.pdf").read_bytes().startswith(b"%PDF-")
+    assert (out / "report" / "README.md").stat().st_size > 5_000
     for name in (system.name, other.name):
         assert leftovers(home, name, before) == []

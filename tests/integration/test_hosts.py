@@ -1,26 +1,27 @@
-"""An instance on three computers, without a robot: what every verb says of all of them, and what it refuses."""
-
-from __future__ import annotations
+"""An instance on three computers, without a robot: what every verb reports of all of them, and what it rejects."""
 
 import json
 import re
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from bifrost.network import copy_for
 from harness.computers import ComputersError
-from harness.hosts import Hosts, hosts
+from harness.hosts import Hosts, hosts, make_ssh_keys
 from harness.system import VALORCTL
 from harness.waiting import wait_until
 from valor.common import pacing
+from valor.common.instance import Instance
 from valor.common.resources import robot_folder
-from valor.valorctl.ros_domain import discovery_port
+from valor.valorctl.instance import supervisor_config
+from valor.valorctl.instance.ros_domain import discovery_port
+from valor.valorctl.instance.supervision import Supervisor, SupervisorError
 
 DEPLOYMENT = """\
 description: ROS' side without a robot, on three computers
@@ -45,23 +46,102 @@ def trio() -> Iterator[Hosts]:
             pytest.skip(str(error))
 
 
+READY = {"bifrostd": "ready", "footstep_converter": "ready"}
+
+
 @pytest.fixture
 def up(trio: Hosts) -> Iterator[Hosts]:
-    trio.valorctl("operator", "up", "--deployment", str(trio.file))
+    """The instance is up on all hosts; restarted after a test that leaves it otherwise."""
+    if not left(trio):
+        trio.valorctl("operator", "up", "--deployment", str(trio.file))
     yield trio
     for name in trio.network.addresses:
         trio.network.plug(name)
-    trio.valorctl("operator", "down", "--deployment", str(trio.file))
+    hosts_up = {Path(file).parents[1].name for file in left(trio)}
+    if hosts_up and (hosts_up != set(trio.network.addresses) or trio.states("operator") != READY):
+        trio.valorctl("operator", "down", "--deployment", str(trio.file))
+
+
+@pytest.fixture
+def down(trio: Hosts) -> Hosts:
+    """The instance is down."""
+    if left(trio):
+        trio.valorctl("operator", "down", "--deployment", str(trio.file))
+    return trio
 
 
 def left(trio: Hosts) -> list[str]:
-    """What is there only while an instance is up."""
+    """Files that exist only while an instance is up."""
     return [str(file) for name in trio.network.addresses for file in trio.home(name).glob("trio/*.json")]
 
 
-def test_up_is_seen_from_everywhere_and_down_leaves_nothing(up: Hosts) -> None:
+def test_a_host_has_the_keys_of_its_own_processes_only(up: Hosts) -> None:
+    owners = {name: {file.name for file in (up.home(name) / "trio/owners").iterdir()} for name in up.network.addresses}
+    assert owners["perception"] == {"bifrostd", "footstep_converter"}
+    assert owners["motion"] == {"bifrostd"}
+    modes = {file.stat().st_mode & 0o077 for name in up.network.addresses for file in up.home(name).glob("trio/**/*")}
+    assert modes == {0}, "other users can read the instance's files"
+
+
+def test_a_watched_status_reconnects_after_a_cut(up: Hosts) -> None:
+    command = up.command("operator", str(VALORCTL), "status", "--watch", "--json")
+    with subprocess.Popen(command, env=up.environment("operator"), stdout=subprocess.PIPE, text=True) as watch:
+        assert watch.stdout is not None
+
+        def problem() -> str:
+            assert watch.stdout is not None
+            return str(json.loads(watch.stdout.readline())["hosts"][1]["problem"])
+
+        try:
+            assert problem() == ""
+            up.network.pull("perception")
+            wait_until(lambda: "is unreachable" in problem(), 60.0, "the cut is reported")
+            up.network.plug("perception")
+            wait_until(lambda: problem() == "", 60.0, "ssh is connected again")
+        finally:
+            watch.kill()
+
+
+def test_a_late_start_is_rejected_by_supervisord(up: Hosts) -> None:
+    """As TCP delivers it after a cut: the deadline is by the clock of the host that receives it."""
+    socket = up.home("perception") / "trio" / supervisor_config.SOCKET
+    supervisor = Supervisor(Instance("trio", up.home("perception")), socket)
+    supervisor._order("stop", "footstep_converter")
+    clock = supervisor._call("clock", namespace=supervisor_config.NAMESPACE)
+    with pytest.raises(SupervisorError, match=r"arrived \d\.\d s after its deadline; nothing was done"):
+        supervisor._call("start", "footstep_converter", clock - 0.1, namespace=supervisor_config.NAMESPACE)
+    wait_until(lambda: not supervisor.processes()["footstep_converter"].pid, 20.0, "it stays stopped")
+    supervisor._call("start", "footstep_converter", clock + 20.0, namespace=supervisor_config.NAMESPACE)
+    assert supervisor.processes()["footstep_converter"].pid
+
+
+def test_a_late_order_is_rejected(up: Hosts) -> None:
+    order = {"verb": "down", "instance": "trio", "until": -100.0, "arguments": {}}
+    done = subprocess.run(
+        up.command("perception", str(VALORCTL), "host", "order"),
+        env=up.environment("perception"),
+        input=json.dumps(order) + "\n",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    greeting, reply = map(json.loads, done.stdout.splitlines())
+    assert abs(greeting["wall"] - time.time()) < 60.0
+    assert re.fullmatch(r"down: arrived [\d.]+ s after its deadline; nothing was done", reply["error"])
+    assert up.states("operator")["footstep_converter"] == "ready"
+
+
+def test_processes_continue_without_ssh_and_are_found_again(up: Hosts) -> None:
+    before = {row["name"]: row["pid"] for row in up.status("operator")["services"]}
+    up.kill_ssh("perception")
+    assert "is unreachable" in up.valorctl("operator", "status")
+    up.start_ssh("perception")
+    assert {row["name"]: row["pid"] for row in up.status("operator")["services"]} == before
+
+
+def test_every_host_reports_all_processes_and_down_leaves_nothing(up: Hosts) -> None:
     for name in up.network.addresses:
-        assert up.states(name) == {"bifrostd": "ready", "footstep_converter": "ready"}
+        assert up.states(name) == READY
     assert "spawned: 'footstep_converter'" in up.valorctl("motion", "logs", "supervisord", "-n", "50")
     said = re.search(
         r"stamps: motion is ([+-]\d+\.\d+) s ahead.*; perception is ([+-]\d+\.\d+) s ahead",
@@ -72,31 +152,20 @@ def test_up_is_seen_from_everywhere_and_down_leaves_nothing(up: Hosts) -> None:
     before, after = pid.findall(up.valorctl("operator", "restart", "footstep_converter"))[0]
     assert before != after and Path(f"/proc/{after}").exists()
     assert "is up already" in up.valorctl("motion", "up", "--deployment", str(up.file), expect=1)
-    assert up.states("motion") == {"bifrostd": "ready", "footstep_converter": "ready"}, "who was refused took it down"
+    assert up.states("motion") == READY, "the rejected `up` took it down"
     up.valorctl("perception", "down")
     assert left(up) == [] and not Path(f"/proc/{after}").exists()
 
 
-def test_each_host_has_no_key_that_is_anothers(up: Hosts) -> None:
-    owners = {name: {file.name for file in (up.home(name) / "trio/owners").iterdir()} for name in up.network.addresses}
-    assert owners["perception"] == {"bifrostd", "valorctl", "footstep_converter"}
-    assert owners["motion"] == {"bifrostd", "valorctl"}
-    agents = up.home("motion") / ".hosts/trio/owners"
-    assert [file.name for file in agents.iterdir()] == ["motion"]
-
-
-def test_a_host_that_is_gone_is_named_with_its_last_word(up: Hosts) -> None:
-    gone = r"host perception \([\d.]+\) is gone; its last word, .*: trio: bifrostd, footstep_converter running"
-
-    def named() -> bool:
-        up.network.plug("perception")
-        assert [host["problem"] for host in up.status("motion")["hosts"]] == ["", "", ""]
-        up.network.pull("perception")
-        row = next(row for row in up.status("motion")["services"] if row["name"] == "footstep_converter")
-        assert row["state"] == "failed" and "host perception" in row["detail"]
-        return all(re.search(gone, said) for said in (row["detail"], up.valorctl("operator", "doctor", expect=1)))
-
-    wait_until(named, 90.0, "perception's last word is one from after it was up")
+def test_an_unreachable_host_is_named_and_taken_down_later(up: Hosts) -> None:
+    gone = r"host perception \([\d.]+\) is unreachable: ssh: connect to host"
+    up.network.pull("perception")
+    seen = up.status("motion")
+    assert [bool(host["problem"]) for host in seen["hosts"]] == [False, True, False]
+    row = next(row for row in seen["services"] if row["name"] == "footstep_converter")
+    assert row["state"] == "failed" and re.search(gone, row["detail"])
+    assert re.search(gone, up.valorctl("operator", "doctor", expect=1))
+    assert re.search(gone, up.valorctl("operator", "logs", "-n", "1"))
     assert re.search(gone, up.valorctl("operator", "down", expect=1))
     assert [Path(file).parents[1].name for file in left(up)] == ["perception"] * 2
     up.network.plug("perception")
@@ -106,21 +175,22 @@ def test_a_host_that_is_gone_is_named_with_its_last_word(up: Hosts) -> None:
             in up.valorctl("operator", "up", "--deployment", str(up.file), expect=1)
         ),
         30.0,
-        "perception is back, and says that it has not been taken down",
+        "perception is reachable, and `up` reports that it has not been taken down",
     )
-    assert [Path(file).parents[1].name for file in left(up)] == ["perception"] * 2, "`up` left what it had begun"
+    assert [Path(file).parents[1].name for file in left(up)] == ["perception"] * 2, "`up` left what it had started"
 
 
-def test_an_agent_that_is_begun_anew_finds_what_it_had_started(up: Hosts) -> None:
-    up.stop_agent("perception")
-    assert "is gone" in up.valorctl("operator", "status")
-    up.start_agent("perception")
-    assert up.states("operator") == {"bifrostd": "ready", "footstep_converter": "ready"}
+def test_a_killed_supervisord_is_named_and_cleared(up: Hosts) -> None:
+    up.kill_supervisor("perception")
+    problem = up.status("operator")["hosts"][1]["problem"]
+    assert problem.startswith("perception: supervisord of instance 'trio' does not respond")
+    up.valorctl("operator", "down")
+    assert left(up) == [] and up.left("perception") == []
 
 
 @contextmanager
 def in_ros_domain(up: Hosts, name: str) -> Iterator[None]:
-    """Somebody's program in the instance's ROS domain on a computer."""
+    """Another program in the instance's ROS domain on a computer."""
     domain = json.loads((up.home("motion") / "trio" / "instance.json").read_text())["ros_domain_id"]
     program = f"import socket; s = socket.socket(type=socket.SOCK_DGRAM); s.bind(('', {discovery_port(domain)}))"
     command = up.command(name, sys.executable, "-c", f"{program}; print('there', flush=True); input()")
@@ -131,78 +201,81 @@ def in_ros_domain(up: Hosts, name: str) -> Iterator[None]:
         process.kill()
 
 
-def test_a_host_that_was_started_anew_takes_up_what_goes_on_and_nothing_that_is_over(up: Hosts) -> None:
+def test_a_host_without_power_resumes_a_run_that_continues_and_none_that_is_over(up: Hosts) -> None:
     def ready() -> bool:
-        return up.states("operator") == {"bifrostd": "ready", "footstep_converter": "ready"}
+        return up.states("operator") == READY
 
     assert ready()
     up.cut_power("perception")
     assert up.states("operator")["footstep_converter"] == "failed"
     with in_ros_domain(up, "perception"):
-        up.start_agent("perception")
+        assert "started its part on perception again" in up.restore_power("perception")
         wait_until(ready, 60.0, "its part is started again", 0.5)
     up.cut_power("perception")
     assert "perception" in up.valorctl("operator", "down", expect=1)
-    up.start_agent("perception")
-    said = up.folder / "perception.agent"
-    looked = up.valorctl("operator", "doctor", "--deployment", str(up.file), expect=1)  # longer than asking the others
-    assert "trio has settings, but its supervisor does not answer" in looked
-    assert "started again" not in said.read_text()
+    assert "its run is over" in up.restore_power("perception")
+    assert up.left("perception") == []
+    looked = up.valorctl("operator", "doctor", "--deployment", str(up.file), expect=1)
+    assert "trio has settings, but its supervisor does not respond" in looked
 
 
-def test_other_code_and_another_robot_are_refused_by_name(trio: Hosts, tmp_path: Path) -> None:
+def test_nothing_resumes_while_no_other_host_is_reachable(up: Hosts) -> None:
+    up.cut_power("perception")
+    up.network.pull("perception")
+    said = up.valorctl("perception", "host", "resume", expect=1)  # systemd calls it again
+    assert "unreachable: motion, operator" in said and up.left("perception") == []
+    up.network.plug("perception")
+    up.restore_power("perception")
+    wait_until(lambda: up.states("operator")["footstep_converter"] == "ready", 60.0, "its part is started again", 0.5)
+
+
+def test_different_code_and_robots_are_rejected_by_name(down: Hosts, tmp_path: Path) -> None:
     changed = []
     for place in (robot_folder("escher") / "robot.yaml", Path(pacing.__file__)):
         (tmp_path / place.name).write_text(place.read_text() + "# another\n")
         changed.append((tmp_path / place.name, place))
-    trio.stop_agent("perception")
-    trio.start_agent("perception", instead=changed)
+    down.kill_ssh("perception")
+    down.start_ssh("perception", instead=changed)
     try:
-        said = trio.valorctl("operator", "up", "--deployment", str(trio.file), expect=1)
-        differing = "code differs in valor/common/pacing.py; robot differs in robot.yaml"
-        assert f"perception: {differing}; expected the same as on operator" in said
-        assert left(trio) == [], "something was begun"
-        assert differing in trio.valorctl("operator", "doctor", "--deployment", str(trio.file), expect=1)
+        said = down.valorctl("operator", "up", "--deployment", str(down.file), expect=1)
+        differing = "perception: code, robot: expected the same version"
+        assert f"{differing} as on operator" in said
+        assert left(down) == [], "part of the instance was made"
+        assert differing in down.valorctl("operator", "doctor", "--deployment", str(down.file), expect=1)
     finally:
-        trio.stop_agent("perception")
-        trio.start_agent("perception")
+        down.kill_ssh("perception")
+        down.start_ssh("perception")
 
 
-def test_a_full_disk_is_named_with_its_host_and_nothing_is_begun(trio: Hosts) -> None:
+def test_a_full_disk_is_named_with_its_host_and_nothing_is_made(down: Hosts) -> None:
     try:
-        with trio.little_disk("perception", "24k") as folder:
-            said = trio.valorctl("operator", "up", "--deployment", str(trio.file), expect=1)
-            assert f"perception: {trio.home('perception') / 'trio'}: No space left on device" in said
-            assert left(trio) == [] and not [file for file in folder.iterdir() if file.is_file()]
+        with down.little_disk("perception", "24k") as folder:
+            said = down.valorctl("operator", "up", "--deployment", str(down.file), expect=1)
+            assert f"perception: {down.home('perception') / 'trio'}: No space left on device" in said
+            assert left(down) == [] and not [file for file in folder.iterdir() if file.is_file()]
     except ComputersError as error:
         pytest.skip(str(error))
-    trio.valorctl("operator", "up", "--deployment", str(trio.file))
+    down.valorctl("operator", "up", "--deployment", str(down.file))
     try:
-        assert trio.states("operator") == {"bifrostd": "ready", "footstep_converter": "ready"}
+        assert down.states("operator") == READY
     finally:
-        trio.valorctl("operator", "down", "--deployment", str(trio.file))
+        down.valorctl("operator", "down", "--deployment", str(down.file))
 
 
-def test_another_deployments_keys_get_no_word(trio: Hosts) -> None:
-    (trio.folder / "stranger.yaml").write_text(trio.file.read_text())
-    (trio.folder / "stranger").mkdir()
+def test_a_key_that_ssh_does_not_accept_changes_nothing(down: Hosts) -> None:
+    stranger = down.folder / "stranger"
+    make_ssh_keys(stranger)
+    (stranger / "known_hosts").write_text(f"* {(down.folder / 'ssh/host_key.pub').read_text()}")
+    file = down.folder / "stranger.yaml"
+    file.write_text(down.file.read_text().replace("/ssh/ssh_config", "/stranger/ssh_config"))
+    said = down.valorctl("operator", "up", "--deployment", str(file), expect=1)
+    for name in ("motion", "perception"):
+        assert re.search(rf"host {name} \([\d.]+\) is unreachable: .*Permission denied", said), said
+    assert left(down) == []
 
-    def valorctl(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            trio.command("operator", str(VALORCTL), *arguments),
-            env=trio.environment("operator") | {"VALOR_HOME": str(trio.folder / "stranger")},
-            cwd=trio.folder,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
 
-    assert "has not joined deployment 'stranger'" in valorctl("up", "--deployment", "stranger.yaml").stderr
-    assert valorctl("host", "join", "operator", "--deployment", "stranger.yaml").returncode == 0
-    folder = trio.folder / "stranger/.hosts/stranger"
-    (folder / "network.json").write_bytes(copy_for((folder / "made.json").read_bytes(), "operator"))
-    unheard = valorctl("up", "--deployment", "stranger.yaml")
-    assert unheard.returncode == 1
-    for name in trio.network.addresses:
-        assert f"{name} ({trio.network.addresses[name]}): no answer of its agent" in unheard.stderr
-    assert left(trio) == []
+def test_a_computer_that_is_no_host_is_rejected(down: Hosts) -> None:
+    file = down.folder / "elsewhere.yaml"
+    file.write_text(down.file.read_text().replace(down.network.addresses["operator"], "10.99.0.1"))
+    said = down.valorctl("operator", "up", "--deployment", str(file), expect=1)
+    assert "this computer has none of its addresses: " in said and "10.99.0.1 (operator)" in said

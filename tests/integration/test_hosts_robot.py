@@ -1,6 +1,4 @@
-"""A robot on three computers whose clocks are 5 s apart: it stands, reaches, walks; and cables are pulled meanwhile."""
-
-from __future__ import annotations
+"""A robot on three computers with clocks 5 s apart: it stands, reaches and walks while cables are pulled."""
 
 import json
 import math
@@ -20,8 +18,8 @@ from harness.system import VALORCTL
 from harness.waiting import wait_until
 
 HEALED = 60.0  # [s]
-STILL = 0.04  # what balancing takes at most [m]
-LONG = 8.0  # cut, for which `walk` gives up, and TCP its connections [s]
+STILL = 0.04  # largest motion of balancing [m]
+LONG = 8.0  # cut after which `walk` fails [s]
 
 
 @pytest.fixture(scope="module")
@@ -38,33 +36,28 @@ def robot() -> Iterator[Hosts]:
 
 
 def motion(robot: Hosts) -> dict[str, Any]:
-    """What the Motion Manager says of itself."""
+    """State that the Motion Manager publishes."""
     said = robot.valorctl("motion", "topic", "echo", "motion_manager/motion_state", "--once", "--json")
     found: dict[str, Any] = json.loads(said)
     state: dict[str, Any] = found.get("message", found)
     return state
 
 
-def place(robot: Hosts) -> list[float]:
-    """Where the pelvis is, over ground [m]."""
+def position(robot: Hosts) -> list[float]:
+    """Horizontal position of the pelvis [m]."""
     return list(motion(robot)["pelvis_position_in_odom"][:2])
 
 
-def apart(one: list[float], other: list[float]) -> float:
-    """Of two places [m]."""
-    return math.dist(one, other)
-
-
 def resting(robot: Hosts) -> list[float]:
-    """Where it rests [m], once it does: in mode walk, too, without a velocity."""
-    places = [place(robot)]
+    """Position at which it comes to rest [m]; also in mode walk, without a velocity."""
+    positions = [position(robot)]
 
     def rests() -> bool:
-        places.append(place(robot))  # a moment later: it takes a command to ask
-        return apart(*places[-2:]) < STILL / 4
+        positions.append(position(robot))  # a moment later: the request takes a command
+        return math.dist(*positions[-2:]) < STILL / 4
 
     wait_until(rests, 60.0, "it comes to rest")
-    return places[-1]
+    return positions[-1]
 
 
 def behavior(robot: Hosts) -> str:
@@ -73,12 +66,12 @@ def behavior(robot: Hosts) -> str:
 
 
 def healed(robot: Hosts) -> None:
-    """Wait until every process is ready, as the operator sees it; nobody has done anything for that."""
+    """Wait until the operator's host reports every process ready, without help."""
     wait_until(lambda: robot.status("operator")["ready"], HEALED, "every process is ready again", 0.5)
 
 
 def walking(robot: Hosts, seconds: float) -> subprocess.Popen[str]:
-    """The operator has the robot walk; returns once it does."""
+    """Start to walk by the operator's command; returns once the robot walks."""
     command = robot.command("operator", str(VALORCTL), "walk", "--vx", "0.3", "--for", f"{seconds:g}")
     walk = subprocess.Popen(
         command, env=robot.environment("operator"), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -87,18 +80,18 @@ def walking(robot: Hosts, seconds: float) -> subprocess.Popen[str]:
     return walk
 
 
-def test_it_reaches_and_every_host_sees_it_by_its_own_clock(robot: Hosts) -> None:
+def test_it_reaches_and_every_host_measures_delays_by_its_clock(robot: Hosts) -> None:
     robot.valorctl("operator", "mode", "stand_manipulate")
     assert "right arm in forward" in robot.valorctl("perception", "arm", "right", "forward")
     robot.valorctl("operator", "mode", "stand")
     for name in ("perception", "operator"):
-        said = robot.valorctl(name, "topic", "delay", "comms_manager/proprioceptor", "--for", "1")
-        median = re.search(r"median (-?\d+)", said)
+        said = robot.valorctl(name, "topic", "hz", "comms_manager/proprioceptor", "--for", "1")
+        median = re.search(r"delay median (-?\d+)", said)
         assert median and -0.5e6 < int(median[1]) < 0.5e6, said  # [µs], of clocks that are 3 s and 2 s away
 
 
 @pytest.mark.parametrize(("host", "seconds"), [("perception", 0.2), ("motion", 2.0)])
-def test_it_walks_on_without_the_others_for_a_moment(robot: Hosts, host: str, seconds: float) -> None:
+def test_it_keeps_walking_through_a_short_cut(robot: Hosts, host: str, seconds: float) -> None:
     walk = walking(robot, 5.0)
     robot.network.pull(host)
     time.sleep(seconds)  # the cut itself
@@ -109,20 +102,20 @@ def test_it_walks_on_without_the_others_for_a_moment(robot: Hosts, host: str, se
     robot.valorctl("operator", "mode", "stand")
 
 
-def test_without_its_operator_it_stops_and_obeys_nothing_that_comes_late(robot: Hosts) -> None:
+def test_without_its_operator_it_stops_and_executes_no_late_command(robot: Hosts) -> None:
     walk = walking(robot, 60.0)
     robot.network.pull("operator")
     said, _ = walk.communicate(timeout=200.0)
-    assert walk.returncode == 1 and "silent" in said, "the operator is told"
+    assert walk.returncode == 1 and "no motion_manager/motion_state for" in said, "`walk` reports the cut"
     before = resting(robot)
     robot.network.plug("operator")
     healed(robot)
-    assert apart(resting(robot), before) < STILL, "it has gone on"
+    assert math.dist(resting(robot), before) < STILL, "it executed a late command"
     robot.valorctl("operator", "walk", "--vx", "0.3", "--for", "3")
-    assert apart(place(robot), before) > 5 * STILL, "it obeys nobody any more"
+    assert math.dist(position(robot), before) > 5 * STILL, "it executes no command any more"
 
 
-def test_standing_without_its_perception_it_stands_and_all_comes_back(robot: Hosts) -> None:
+def test_it_stands_without_its_perception_and_all_recovers(robot: Hosts) -> None:
     robot.valorctl("operator", "mode", "stand")
     before = resting(robot)
     robot.network.pull("perception")
@@ -133,5 +126,5 @@ def test_standing_without_its_perception_it_stands_and_all_comes_back(robot: Hos
     robot.network.plug("perception")
     healed(robot)
     assert behavior(robot) == "stand"
-    assert apart(resting(robot), before) < STILL
+    assert math.dist(resting(robot), before) < STILL
     robot.valorctl("operator", "mode", "stand_manipulate")

@@ -1,9 +1,10 @@
-"""The operator's part through the link: a robot behind 9,600 bit/s that is cut, and nothing late is done to it."""
+"""Robot behind a link of 9,600 bit/s that is cut: a ROS client and the page; no late command is executed."""
 
 from __future__ import annotations
 
 import json
 import random
+import re
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,23 +13,32 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.action import ActionClient
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from vigir_footstep_planning_msgs.action import ExecuteStepPlan
+from vigir_footstep_planning_msgs.msg import Step
 
+from harness.emulated_channel import DRC_FAST, DRC_SLOW, random_windows
+from harness.link_emulator import Emulator
 from harness.places import ROBOTS
 from harness.system import RosClient, System, running
 from harness.waiting import wait_until
+from tests.integration.operator_page import PATIENCE, Page, StopPage
 from valor.common.instance import Instance, Settings
 from valor.common.linking import robot_ports
 from valor.common.messages import ModeStatus
 from valor.common.table import checked
-from valor.common.viewing import LOOPBACK
-from valor.link.classes import BY_KIND, Kind
-from valor.link.emulate import Emulator
-from valor.link.emulator import DRC_FAST, DRC_SLOW
-from valor.link.schedule import random_windows
-from valor.valorctl.ros_domain import reserve
+from valor.common.viewing import LOOPBACK, page_port, scene_port
+from valor.link.classes import BY_CLASS, MessageClass
+from valor.robot.description import RobotDescription
+from valor.valorctl.instance.ros_domain import reserve
 
-CUTS = 4
+CUTS = 2
 SEED = 3
+DEADLINE = BY_CLASS[MessageClass.COMMAND].deadline or 0.0  # [s]
+pytestmark = pytest.mark.timeout(1200)
 
 
 @dataclass
@@ -64,14 +74,12 @@ class Operation:
 @pytest.fixture(scope="module")
 def operation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Operation]:
     """A robot that stands, the emulated link, and the operator's domain behind it."""
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-
     home = tmp_path_factory.mktemp("home")
     emulator = Emulator((0, 0), DRC_SLOW, DRC_FAST, windows=random_windows(SEED, 3600.0), seed=SEED)
     with reserve("link_operator_test") as theirs:
         domain = theirs.domain
-        with running("link_test", home, "--no-bag", "--link", f"{domain}:{emulator.listening}") as system:
+        options = ("--no-bag", "--view", "--link", f"{domain}:{emulator.listening}")
+        with running("link_test", home, *options) as system:
             emulator.to = robot_ports(Instance("link_test", home).settings())
             environment = system.join()
             robot = RosClient(environment, joint_states=True)
@@ -89,8 +97,6 @@ def operation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Operation]:
 
 
 def test_the_operator_sees_the_robot_as_it_is_and_how_old_that_is(operation: Operation) -> None:
-    from sensor_msgs.msg import JointState
-
     true: dict[int, Any] = {}
     robot = operation.robot
     robot._call(robot.node.create_subscription, JointState, "joint_states", lambda m: true.update({_stamp(m): m}), 10)
@@ -122,7 +128,6 @@ def test_modes_arms_and_steps_go_through_it(operation: Operation) -> None:
 
 def test_what_is_asked_for_during_a_cut_is_not_done_after_it(operation: Operation) -> None:
     chance = random.Random(SEED)
-    lasts = BY_KIND[Kind.COMMAND].deadline or 0.0
     wait_until(lambda: operation.true() == "stand", 30.0, "the steps to end in stand")
     for number in range(CUTS):
         wait_until(lambda: operation.shown() == operation.true(), 30.0, "the mode to be shown")
@@ -130,10 +135,10 @@ def test_what_is_asked_for_during_a_cut_is_not_done_after_it(operation: Operatio
         began, reports = time.monotonic(), len(operation.robot.reports)
         status = operation.operator.change_mode("stand_manipulate")
         assert not status.status & ModeStatus.MODE_ACCEPTED
-        assert time.monotonic() - began < 3 * lasts
-        time_cut = began + lasts + chance.uniform(0.5, 2.0)
+        assert time.monotonic() - began < 3 * DEADLINE
+        time_cut = began + DEADLINE + chance.uniform(0.5, 2.0)
         wait_until(partial(_past, time_cut), 30.0, "the cut to be longer than the deadline")
-        assert float(operation.values()["state_age"]) > lasts / 2
+        assert float(operation.values()["state_age"]) > DEADLINE / 2
         operation.emulator.cut = False
         told = len(operation.told)
         wait_until(partial(_fresh, operation.told, told), 60.0, "states to come again")
@@ -141,18 +146,69 @@ def test_what_is_asked_for_during_a_cut_is_not_done_after_it(operation: Operatio
         assert asked <= {"stand"}, f"cut {number}: {asked}"
 
 
-def test_a_stop_goes_through_it(operation: Operation) -> None:
-    from std_msgs.msg import Empty
+@pytest.fixture(scope="module")
+def page(browser: Any, operation: Operation) -> Page:
+    """The page on the operator's side, with an operator."""
+    instance = Instance(operation.system.name, Path(operation.system.environment["VALOR_HOME"]))
+    page = Page(browser, scene_port(instance.settings()))
+    page.take_control("Ann", instance.operator_token.read_text(), "Ann operates")
+    page.dismiss()
+    page.sees("state", "control mode fresh")
+    return page
 
-    client = operation.operator
-    publisher = client._call(client.node.create_publisher, Empty, "flor/controller/soft_stop", 1)
-    wait_until(publisher.get_subscription_count, 10.0, "the link to listen")
-    publisher.publish(Empty())
-    wait_until(lambda: operation.true() == "soft_stop", 20.0, "the robot to stop")
-    wait_until(lambda: operation.shown() == "soft_stop", 20.0, "the stop to be shown")
+
+def test_a_mode_is_changed_by_a_button_and_shown(operation: Operation, page: Page) -> None:
+    wait_until(lambda: operation.true() == "stand", PATIENCE, "the robot stands")
+    page.command("stand_manipulate", "control mode stand_manipulate", "done")
+    assert operation.true() == "stand_manipulate"
+    page.wait("state", lambda text: text.startswith("stand_manipulate") and "control mode fresh" in text, "the mode")
 
 
-def test_the_verb_locks_the_joints_from_the_operators_side(operation: Operation, tmp_path: Path) -> None:
+def test_a_button_pressed_during_a_cut_is_reported_and_not_executed_after_it(operation: Operation, page: Page) -> None:
+    reports, given = len(operation.robot.reports), page.number()
+    operation.emulator.cut = True
+    began = time.monotonic()
+    page.press("manipulate")
+    page.wait("commands", lambda text: page.commanded(f"#{given + 1} ", "refused"), "the result of the command")
+    page.wait("state", lambda text: re.search(r"control mode [\d.]+ s old", text) is not None, "the age of the mode")
+    page.sees("news", "not acknowledged before its deadline")
+    wait_until(partial(_past, began + DEADLINE + 1.0), PATIENCE, "the cut is longer than the deadline")
+    operation.emulator.cut = False
+    page.sees("state", "control mode fresh")
+    reported = operation.robot.reports[reports:]
+    assert {each.current_control_mode for each in reported} <= {"stand_manipulate"}
+    assert "manipulate" not in {each.requested_control_mode for each in reported}
+    assert page.text("state").startswith("stand_manipulate")
+
+
+def test_after_the_cut_commands_are_executed_and_the_pad_shows_the_age_of_the_velocity(
+    operation: Operation, page: Page
+) -> None:
+    page.command("stand", "control mode stand:", "done")
+    wait_until(lambda: operation.true() == "stand", PATIENCE, "the robot stands")
+    page.command("walk", "control mode walk:", "done")
+    page.page.get_by_text("no velocity has come through lately").wait_for()
+    page.button("forward").hover()
+    page.page.mouse.down()
+    try:
+        page.page.get_by_text(re.compile(r"a velocity came through \d\.\d s ago")).wait_for()
+    finally:
+        page.page.mouse.up()
+
+
+def test_the_stop_of_the_page_goes_through_the_link(operation: Operation, page: Page) -> None:
+    instance = Instance(operation.system.name, Path(operation.system.environment["VALOR_HOME"]))
+    stop = StopPage(page.context, page_port(instance.settings()))
+    stop.press()
+    wait_until(lambda: operation.true() == "soft_stop", PATIENCE, "the robot stops")
+    stop.sees("confirmed through the link: stopped")
+    page.wait("state", lambda text: text.startswith("soft_stop"), "the stop is shown")
+    wait_until(
+        lambda: operation.operator.change_mode("stand").status & ModeStatus.MODE_ACCEPTED, PATIENCE, "the robot stands"
+    )
+
+
+def test_the_verb_stops_and_locks_from_the_operators_side(operation: Operation, tmp_path: Path) -> None:
     hosts = [{"name": "desk", "address": LOOPBACK, "operator": True}, {"name": "robot", "address": LOOPBACK}]
     domain = operation.domain
     settings = {"robot": str(ROBOTS / "escher"), "ros_domain_id": domain, "link": {"domain": domain}, "hosts": hosts,
@@ -160,11 +216,16 @@ def test_the_verb_locks_the_joints_from_the_operators_side(operation: Operation,
     desk = Instance("desk", tmp_path)
     desk.folder.mkdir(parents=True)
     desk.settings_file.write_text(checked(Settings, settings).json())
-    told = json.loads(System("desk", tmp_path).valorctl("stop", "--freeze", "--json").stdout)
-    assert told["stopped"] and told["state"] == "freeze"
-    (path,) = told["paths"]
-    assert path["name"] == "link_robot, through the link" and path["answer"] == "control mode freeze"
-    assert operation.true() == "freeze"
+    for options, state, answer in (
+        ((), "soft_stop", "soft stop sent"),
+        (("--freeze",), "freeze", "control mode freeze"),
+    ):
+        told = json.loads(System("desk", tmp_path).valorctl("stop", *options, "--json").stdout)
+        assert told["stopped"] and told["state"] == state
+        (path,) = told["paths"]
+        assert path["name"] == "link_robot, through the link" and path["answer"] == answer
+        wait_until(lambda state=state: operation.true() == state, 20.0, "the robot to stop")  # type: ignore[misc]
+    wait_until(lambda: operation.shown() == "freeze", 20.0, "the stop to be shown")
 
 
 def test_the_slow_channel_carried_no_more_than_it_can(operation: Operation) -> None:
@@ -188,18 +249,12 @@ def _fresh(told: list[Any], since: int) -> bool:
 
 
 def _arm(client: RosClient) -> dict[str, float]:
-    from valor.robot.description import RobotDescription
-
     positions = client.joint_positions()
     return {name: positions[name] for name in RobotDescription.load(ROBOTS / "escher").tables.group("left_arm")}
 
 
 def _step(client: RosClient) -> int:
     """Two steps on the spot; the result's flags."""
-    from rclpy.action import ActionClient
-    from vigir_footstep_planning_msgs.action import ExecuteStepPlan
-    from vigir_footstep_planning_msgs.msg import Step
-
     goal = ExecuteStepPlan.Goal()
     goal.step_plan.header.frame_id = "base_footprint"
     for index, side in enumerate((0, 1)):

@@ -1,42 +1,30 @@
 """The Motion System as it runs: bifrostd, Comms Manager and Motion Manager as processes, and a client beside them."""
 
-from __future__ import annotations
-
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from harness.instance import RunningInstance, fresh_instance
-from harness.motion_system import STANDING, MotionSystem
+from harness.instance import RunningInstance
 from harness.places import ROBOTS
 from harness.waiting import wait_until
+from tests.integration.motion_system import STANDING, MotionSystem
+from tests.integration.shared import left_standing
 from valor.common.behaviors import Behavior
-from valor.common.messages import (
-    BehaviorReply,
-    Footstep,
-    FootstepPlanRequest,
-    JointMode,
-    JointSetpoints,
-    MotionState,
-)
-from valor.common.topics import (
-    BEHAVIOR,
-    FOOTSTEP_PLAN,
-    JOINT_SETPOINTS,
-    PROPRIOCEPTOR,
-)
+from valor.common.messages import BehaviorReply, Footstep, FootstepPlanRequest, JointMode, JointSetpoints, MotionState
+from valor.common.topics import BEHAVIOR, FOOTSTEP_PLAN, JOINT_SETPOINTS, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 ARM = ROBOT.tables.groups["right_arm"]
 ARM_PLACES = ROBOT.group_indices("right_arm")
 FORWARD = np.array([ROBOT.tables.arm_presets["forward"]["right"][name] for name in ARM])
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+STEP_LENGTH = 0.2  # [m]
 FLOODED = f"flooder floods {JOINT_SETPOINTS.name}"
 MISSED = 50  # periods in a row that a busy machine may cost
 
@@ -50,58 +38,97 @@ def largest_steps(history: list[MotionState], places: np.ndarray) -> tuple[np.nd
     return elapsed[consecutive], np.abs(np.diff(position, axis=0))[consecutive]
 
 
-def test_the_motion_system_runs_where_ros_cannot_be_imported(instance: RunningInstance, tmp_path: Path) -> None:
-    marker = tmp_path / "blocked"
-    (tmp_path / "sitecustomize.py").write_text(
-        "import pathlib, os, sys\n"
-        "ROS = {'rclpy', 'rosidl_runtime_py', 'std_msgs', 'sensor_msgs', 'builtin_interfaces', 'ament_index_python'}\n"
-        "class Blocker:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name.split('.')[0] in ROS:\n"
-        "            raise ModuleNotFoundError(f'No module named {name!r}: ROS is not installed here')\n"
-        "sys.meta_path.insert(0, Blocker())\n"
-        f"pathlib.Path({str(marker)!r} + f'-{{os.getpid()}}').touch()\n"
-    )
-    system = MotionSystem(instance, env={"PYTHONPATH": str(tmp_path)})
-    for name in ("comms_manager", "motion_manager"):
-        assert Path(f"{marker}-{instance.process(name).pid}").exists(), f"{name} ran without the blocker"
-    system.stand()
-    system.pass_time(1.0)
-    assert system.height > STANDING
-
-
 @pytest.fixture(scope="module")
-def started() -> Iterator[MotionSystem]:
-    """One system for those behind, each of which leaves the robot standing; but for the last two."""
-    with (
-        tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home,
-        fresh_instance(Path(home)) as running,
-    ):
-        yield MotionSystem(running)
+def started(module_instance: RunningInstance) -> MotionSystem:
+    """One system for the tests below, each of which leaves the robot standing, except the last two."""
+    return MotionSystem(module_instance)
 
 
 @pytest.fixture
-def system(started: MotionSystem) -> MotionSystem:
-    """It, standing; what others have seen of it is forgotten."""
+def system(started: MotionSystem) -> Iterator[MotionSystem]:
+    """The shared system, standing, its history cleared; the test leaves the robot standing."""
     started.stand()
     started.forget()
-    return started
+    with left_standing(started.stand, lambda: started.pass_time(0.1).behavior):
+        yield started
 
 
-def test_stand_prep_answers_why_stand_is_refused(system: MotionSystem) -> None:
-    assert system.request("stand_prep").accepted
-    refusals = []
+def still(state: MotionState) -> bool:
+    return bool(state.contacts.all() and np.abs(state.pelvis_linear_velocity_in_odom).max() < 0.01)
 
-    def accepted() -> bool:
-        reply = system.request("stand")
-        if not reply.accepted:
-            assert reply.behavior == Behavior.STAND_PREP
-            refusals.append(reply.reason)
-        return reply.accepted
 
-    wait_until(accepted, 60.0, "stand accepted")
-    assert refusals
-    assert all("stand_prep" in reason or "foot" in reason for reason in refusals), refusals
+def footsteps(first: int, count: int, x: float) -> list[Footstep]:
+    """Steps ahead from ``x``, left and right in turn, and a last one beside the one before."""
+    steps = []
+    for i in range(first, first + count):
+        x += STEP_LENGTH if i < first + count - 1 else 0.0
+        place = np.array([x, 0.1 if i % 2 == 0 else -0.1, 0.0])
+        steps.append(Footstep(i, i % 2, place, LEVEL, 0.0, 0.0, 0.0))
+    return steps
+
+
+def test_takes_a_footstep_plan_changes_it_on_the_way_and_stands(system: MotionSystem) -> None:
+    """The first in the shared system: its odometry begins where the robot stands."""
+    assert "the behavior is stand" in system.plan(footsteps(0, 4, 0.0)).reason
+    system.go(Behavior.STEP)
+    far = footsteps(0, 4, 0.0)
+    far[2].position_in_odom[0] += 1.0
+    refused = system.plan(far)
+    assert not refused.accepted
+    assert "step 2 (left)" in refused.reason
+    assert "forward" in refused.reason
+    assert "starts with step 0" in system.plan(footsteps(1, 2, 0.0)).reason
+    before = system.place()
+    assert system.pass_time(0.3).behavior == Behavior.STEP
+    reply = system.plan(footsteps(0, 4, 0.0))
+    assert reply.accepted, reply.reason
+
+    def executing(index: int) -> bool:
+        status = system.status()
+        return status is not None and status.executing_step_index == index
+
+    wait_until(lambda: executing(1), 60.0, "step 1")
+    moved = footsteps(1, 2, STEP_LENGTH)
+    moved[0].position_in_odom[0] += 0.05
+    assert "step 1 cannot be changed" in system.plan(moved).reason
+    longer = footsteps(2, 4, 2 * STEP_LENGTH)
+    reply = system.plan(longer)
+    assert reply.accepted, reply.reason
+    system.wait_behavior(Behavior.STAND, 120.0)
+    finished: Any = wait_until(
+        lambda: (status := system.status()) and status.state == "finished" and status, 10.0, "the plan finished"
+    )
+    assert finished
+    assert (finished.last_performed_step_index, finished.queue_size, finished.executing_step_index) == (5, 0, -1)
+    seen = [status.executing_step_index for status in system.statuses if status.executing_step_index >= 0]
+    assert sorted(set(seen)) == list(range(6))
+    assert seen == sorted(seen)
+    wait_until(lambda: still(system.look() or system.pass_time(0.1)), 60.0, "standing still")
+    way = system.place() - before
+    assert way[0] == pytest.approx(5 * STEP_LENGTH, abs=0.05)
+    assert abs(way[1]) < 0.05
+    assert system.height > STANDING
+    assert "fall" not in system.behaviors()
+
+
+def test_walks_by_velocity_and_stops_when_nobody_commands(system: MotionSystem) -> None:
+    system.go(Behavior.WALK)
+    before, estimated = system.place(), system.pass_time(0.1).pelvis_position_in_odom
+    system.walk(0.3, 6.0)
+    began = system.now()
+    system.wait(lambda state: state.time > began + 3e9 and still(state), "standing still after silence", 120.0)
+    state = system.pass_time(1.5)
+    assert still(state)
+    assert state.behavior == Behavior.WALK  # and waits for the next velocity
+    way, believed = system.place() - before, state.pelvis_position_in_odom - estimated
+    assert 1.2 < way[0] < 2.6
+    assert abs(way[1]) < 0.2
+    assert np.abs(believed - way).max() < 0.1
+    assert system.request("stand").accepted
+    system.wait_behavior(Behavior.STAND)
+    assert system.height > STANDING
+    assert not any(state.qp_failures for state in system.history)
+    assert "fall" not in system.behaviors()
 
 
 def test_escher_gets_ready_stands_gives_its_arms_away_and_takes_them_back(system: MotionSystem) -> None:
@@ -128,7 +155,7 @@ def test_escher_gets_ready_stands_gives_its_arms_away_and_takes_them_back(system
     assert (steps <= ROBOT.velocity_limit[arms] * elapsed * 1.05 + 1e-6).all()
     sequences = [state.proprioceptor_sequence for state in system.history]
     assert sequences == sorted(sequences)
-    # What is told of a tick contains the part until its Motor, which the MotionState before told.
+    # What is reported of a tick contains the part until its Motor, which the MotionState before reported.
     pairs = [
         (before.motor_time, state.tick_time)
         for before, state in zip(system.history, system.history[1:], strict=False)
@@ -143,10 +170,7 @@ def test_commands_are_refused_with_their_reasons_and_the_robot_stands_on(system:
     before = system.pass_time(1.0).joint_setpoint
     arm = dict.fromkeys(ARM, 0.0)
     system.refused("closed to set-points in behavior stand: manipulation is slave", setpoints=arm)
-    system.refused("they carry the robot", setpoints={"l_knee_pitch": 1.0})
-    system.refused("unknown joint 'tail'", setpoints={"tail": 1.0})
     system.refused("is nan, not a finite number", setpoints={"neck_yaw": np.nan})
-    system.refused("position has 3 numbers", changes={"position": np.zeros(3)})
     system.refused("stale", changes={"age": 1.0})
     reply = system._footsteps.call(
         FootstepPlanRequest(steps=[Footstep(1, 0, np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, 0.0, 0.0)]), timeout=10.0
@@ -236,8 +260,8 @@ def test_who_floods_is_named_and_muted_while_the_motors_go_on(system: MotionSyst
             flooder.publish(stale)
 
     def named() -> bool:
-        told = system._statistics.latest()
-        return told is not None and told.message.state == "degraded" and FLOODED in told.message.detail
+        reported = system._statistics.latest()
+        return reported is not None and reported.message.state == "degraded" and FLOODED in reported.message.detail
 
     thread = threading.Thread(target=flood)
     system.forget()
@@ -258,8 +282,11 @@ def test_who_floods_is_named_and_muted_while_the_motors_go_on(system: MotionSyst
     assert system.height > STANDING
 
 
-def test_pushed_over_the_robot_goes_limp_and_stays_fallen(system: MotionSystem) -> None:
+def test_pushed_over_the_robot_goes_limp_and_stays_fallen(started: MotionSystem) -> None:
     """The last in the shared system for which it stands."""
+    system = started
+    system.stand()
+    system.forget()
     system.pass_time(1.0)
     system.push((0.0, 80.0, 0.0))
     fallen = system.wait_behavior(Behavior.FALL)
@@ -288,7 +315,7 @@ def test_pushed_over_the_robot_goes_limp_and_stays_fallen(system: MotionSystem) 
     assert any(word in reply.reason for word in ("tilted", "foot", "above the soles", "settled")), reply.reason
 
 
-def test_it_stops_at_once_when_told(started: MotionSystem) -> None:
+def test_it_stops_at_once_when_requested(started: MotionSystem) -> None:
     """The last one in the shared system."""
     assert started.instance.stop("motion_manager") == 0
     assert "Traceback" not in started.instance.log("motion_manager")

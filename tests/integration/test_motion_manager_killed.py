@@ -1,28 +1,19 @@
-"""Motion Manager and Comms Manager killed, stopped and started again under a robot: nothing moves until told to."""
-
-from __future__ import annotations
+"""Motion Manager and Comms Manager killed, stopped and started again under a robot: nothing moves until commanded."""
 
 import signal
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from bifrost import Subscriber
 from harness.instance import RunningInstance
-from harness.motion_system import STANDING, MotionSystem
 from harness.places import ROBOTS
 from harness.waiting import wait_until
+from tests.integration.motion_system import STANDING, MotionSystem
 from valor.common.behaviors import REFLEX, Behavior
-from valor.common.messages import (
-    BehaviorReply,
-    BehaviorRequest,
-    Proprioceptor,
-)
-from valor.common.topics import (
-    PROPRIOCEPTOR,
-    STATISTICS,
-    STOP,
-)
+from valor.common.messages import BehaviorReply, BehaviorRequest, Proprioceptor
+from valor.common.topics import PROPRIOCEPTOR, STATISTICS, STOP
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -37,27 +28,38 @@ FEW = 10  # Motors
 FALLING = 30.0  # likewise ones that move, whose velocity is not measured when their effort is [N·m]
 
 
-def test_a_killed_comms_manager_is_a_fall_with_its_reason(instance: RunningInstance) -> None:
-    system = MotionSystem(instance)
-    system.stand()
-    instance.kill("comms_manager")
-    instance.start("comms_manager")
-    fallen = system.wait_behavior(Behavior.FALL)
-    assert "another world" in fallen.reason
-    assert not system.request("stand").accepted
+@pytest.fixture(scope="module")
+def started(module_instance: RunningInstance) -> MotionSystem:
+    """One system for all tests, in real time: the robot lives on while the Motion Manager starts."""
+    module_instance.configure(real_time_factor=1.0, actuators="hardware")
+    return MotionSystem(module_instance)
 
 
-def test_a_comms_manager_killed_in_stand_prep_moves_nothing_until_told_to(instance: RunningInstance) -> None:
-    system = MotionSystem(instance)
+@pytest.fixture
+def system(started: MotionSystem) -> MotionSystem:
+    """The system; its robot stands."""
+    started.stand()
+    started.forget()
+    return started
+
+
+def test_a_comms_manager_killed_in_stand_prep_moves_nothing_until_commanded(started: MotionSystem) -> None:
+    system, instance = started, started.instance
     system.pass_time(0.5)
     instance.kill("comms_manager")
     wait_until(lambda: "silent" in system.request("get_up").reason, 20.0, "requests answered: no robot")
     instance.start("comms_manager")
     assert "another world" in system.wait_behavior(Behavior.FREEZE).reason
-    system.go(Behavior.STAND_PREP)
     system.stand()
     system.pass_time(0.5)
     assert system.height > STANDING
+
+
+def test_a_killed_comms_manager_is_a_fall_with_its_reason(system: MotionSystem) -> None:
+    system.instance.kill("comms_manager")
+    system.instance.start("comms_manager")
+    assert "another world" in system.wait_behavior(Behavior.FALL).reason
+    assert not system.request("stand").accepted
 
 
 def killed_and_back(system: MotionSystem) -> list[Proprioceptor]:
@@ -81,11 +83,8 @@ def moved(measured: list[Proprioceptor]) -> float:
     return max(float(np.abs((each.joint_position - measured[0].joint_position)[places]).max()) for each in measured)
 
 
-def test_whoever_is_killed_no_joint_moves_until_somebody_commands_it(instance: RunningInstance) -> None:
+def test_whoever_is_killed_no_joint_moves_until_somebody_commands_it(system: MotionSystem) -> None:
     """Frozen with an arm up, standing, and fallen: one robot, whose Motion Manager dies again and again."""
-    instance.configure(real_time_factor=1.0)  # the robot lives on while the Motion Manager starts
-    system = MotionSystem(instance)
-    system.stand()
     system.go(Behavior.STAND_MANIPULATE)
     up = dict(zip(ARM, FORWARD, strict=True))
     system.lead(up, lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], FORWARD, atol=0.05)), "an arm up")
@@ -94,12 +93,10 @@ def test_whoever_is_killed_no_joint_moves_until_somebody_commands_it(instance: R
     for _ in range(2):
         assert moved(killed_and_back(system)) < HELD
         assert "before, the robot was in freeze" in system.wait_behavior(Behavior.FREEZE).reason
-    system.go(Behavior.STAND_PREP)
     system.stand()
     assert moved(killed_and_back(system)) < HELD
     assert "before, the robot was in stand" in system.wait_behavior(Behavior.FREEZE).reason
     assert system.height > STANDING
-    system.go(Behavior.STAND_PREP)
     system.stand()
 
     system.push((0.0, 80.0, 0.0))
@@ -109,7 +106,7 @@ def test_whoever_is_killed_no_joint_moves_until_somebody_commands_it(instance: R
     assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason
     assert system.height < 0.5
     assert driven(limp) < DRIVEN
-    assert "stay limp" in instance.log("comms_manager")
+    assert "stay limp" in system.instance.log("comms_manager")
 
 
 def last_led_by(measured: Subscriber[Proprioceptor]) -> str:
@@ -120,7 +117,6 @@ def last_led_by(measured: Subscriber[Proprioceptor]) -> str:
 def let_go_by_the_reflex(system: MotionSystem, measured: Subscriber[Proprioceptor]) -> None:
     """Whoever wants it limp while nobody but the reflex is there has it limp."""
     instance = system.instance
-    system.go(Behavior.STAND_PREP)
     system.stand()
     system.walk_on_one_foot(1.0)
     instance.kill("motion_manager")
@@ -139,11 +135,8 @@ def let_go_by_the_reflex(system: MotionSystem, measured: Subscriber[Propriocepto
     assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason
 
 
-def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand(
-    instance: RunningInstance,
-) -> None:
-    instance.configure(real_time_factor=1.0, actuators="hardware")
-    system = MotionSystem(instance)
+def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to_stand(system: MotionSystem) -> None:
+    instance = system.instance
     witness = instance.node("witness")
     measured = PROPRIOCEPTOR.subscriber(witness)
     statistics = STATISTICS["comms_manager"].subscriber(witness)
@@ -170,7 +163,6 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
         (stopped_and_continued, ("it stands, and is held",)),
     )
     for what, reasons in ways:
-        system.go(Behavior.STAND_PREP)
         system.stand()
         system.walk_on_one_foot(3.0)
         what()
@@ -183,10 +175,9 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
     let_go_by_the_reflex(system, measured)
 
 
-def test_both_managers_killed_the_robot_is_not_brought_to_its_feet(instance: RunningInstance) -> None:
+def test_both_managers_killed_the_robot_is_not_brought_to_its_feet(system: MotionSystem) -> None:
     """The simulated one begins in the air, as a robot that was lifted meanwhile: it is not known to stand."""
-    system = MotionSystem(instance)
-    system.stand()
+    instance = system.instance
     instance.kill("motion_manager")
     instance.kill("comms_manager")
     instance.start("comms_manager")

@@ -1,6 +1,4 @@
-"""ROS 2 between computers: network namespaces stand for them, each with interfaces of its own, joined by cables."""
-
-from __future__ import annotations
+"""ROS 2 between computers: network namespaces with their own interfaces, joined by cables."""
 
 import os
 import subprocess
@@ -16,12 +14,12 @@ from harness.system import VALORCTL
 from valor.common.instance import Instance
 
 ROBOT, OPERATOR, STRANGER = (f"valor_{os.getpid()}_{name}" for name in "ros")
-PATIENCE = 120.0  # [s]
+TIMEOUT = 120.0  # [s]
 PROFILE = """\
 description: ROS' side without a robot.
 processes: [bifrostd, footstep_converter]
 """
-# A client that knows nothing of the project: it has a plan refused, for which messages go both ways.
+# A client without code of the project: its plan is rejected, which needs messages in both directions.
 CLIENT = """\
 import sys, rclpy
 from rclpy.action import ActionClient
@@ -40,20 +38,20 @@ print(ended.result().result.status.status)
 
 
 def run(*command: str, check: bool = True, environment: Mapping[str, str] | None = None) -> str:
-    """What it prints."""
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=2 * PATIENCE, check=False)
+    """Run a command; returns its output."""
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False)
     assert not check or result.returncode == 0, f"{' '.join(command)}:\n{result.stdout}{result.stderr}"
     return result.stdout
 
 
 def inside(computer: str) -> tuple[str, ...]:
-    """What a command is begun with to run on a computer."""
+    """Prefix of a command that runs on a computer."""
     return ("ip", "netns", "exec", computer)
 
 
 @pytest.fixture
 def computers() -> Iterator[None]:
-    """The robot's, with a cable to each of the two others: 10.213.1.1 to .2, 10.213.2.1 to .2."""
+    """The robot's computer, with a cable to each of two others: 10.213.1.1 to .2, 10.213.2.1 to .2."""
     with ExitStack() as stack:
         try:
             for name in (ROBOT, OPERATOR, STRANGER):
@@ -92,10 +90,10 @@ def test_a_named_peer_reaches_the_robot_and_another_network_does_not(computers: 
             client = {k: v for k, v in os.environ.items() if not k.startswith(("ROS_", "FAST", "VALOR"))}
             client |= {"ROS_DOMAIN_ID": str(domain)}
             script = (sys.executable, "-c", CLIENT)
-            status = run(*inside(OPERATOR), *script, str(PATIENCE), environment=client)
-            assert int(status) != 0, "an empty plan is refused, with flags"
-            # It waits for longer than the other one needed.
+            status = run(*inside(OPERATOR), *script, str(TIMEOUT), environment=client)
+            assert int(status) != 0, "an empty plan is rejected, with flags"
+            # Its timeout is longer than the other client needed.
             lost = subprocess.run([*inside(STRANGER), *script, "5.0"], env=client, capture_output=True, check=False)
-            assert lost.returncode == 3, "a computer on another network, none of the peers, found the robot"
+            assert lost.returncode == 3, "a computer that is no peer, on another network, found the robot"
         finally:
             run(*inside(ROBOT), str(VALORCTL), "down", environment=robot)

@@ -1,7 +1,5 @@
 """What is in the wheels and the source distributions, and Bifrost by itself."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import tarfile
@@ -12,10 +10,10 @@ from pathlib import Path
 import pytest
 
 import bifrost
-from harness import wheels
 from harness.places import REPOSITORY
 from harness.waiting import wait_until
-from valor.valorctl.ros_domain import daemon_ports
+from tests.integration import wheels
+from valor.valorctl.instance.ros_domain import daemon_ports
 
 pytestmark = pytest.mark.timeout(wheels.TIMEOUT)
 DATA = "valor/common/data"
@@ -48,14 +46,15 @@ def test_the_wheel_of_the_project_holds_one_package_with_its_data_and_nothing_tw
     assert {Path(name).name for name in names if "/licenses/" in name} == {"LICENSE", "NOTICE"}
 
 
-def test_the_wheel_of_bifrost_holds_bifrost_alone(dist: Path) -> None:
-    names = zipfile.ZipFile(only(dist, "valor_bifrost-*.whl")).namelist()
-    modules = {str(file.relative_to(REPOSITORY)) for file in (REPOSITORY / "bifrost").rglob("*.py")}
-    assert {name for name in names if ".dist-info/" not in name} == modules | {"bifrost/py.typed"}
+@pytest.mark.parametrize("package", ["bifrost", "thesis"])
+def test_the_wheel_of_another_distribution_holds_its_package_only(dist: Path, package: str) -> None:
+    names = zipfile.ZipFile(only(dist, f"valor_{package}-*.whl")).namelist()
+    modules = {str(file.relative_to(REPOSITORY)) for file in (REPOSITORY / package).rglob("*.py")}
+    assert {name for name in names if ".dist-info/" not in name} == modules | {f"{package}/py.typed"}
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
-@pytest.mark.parametrize("project", ["valor", "valor_bifrost"])
+@pytest.mark.parametrize("project", ["valor", "valor_bifrost", "valor_thesis"])
 def test_a_source_distribution_has_no_links_and_nothing_twice(dist: Path, project: str) -> None:
     with tarfile.open(only(dist, f"{project}-*.tar.gz")) as archive:
         members = archive.getmembers()
@@ -98,11 +97,11 @@ def test_bifrost_works_by_itself(dist: Path, tmp_path: Path, ros_domain: int) ->
     try:
         network = bifrost.Network.load(home / "network.json", home / "keys")
         wait_until(lambda: bifrost.daemon_alive(network, timeout=0.5) is not None, 30.0, "bifrostd answers")
-        heard = subprocess.run(
+        received = subprocess.run(
             [python, "-m", "bifrost.cli", "topic", "echo", "lab/temperature", "--once", "--timeout", "30"],
             env=joined, cwd=home, capture_output=True, text=True, timeout=60.0, check=True,
         )  # fmt: skip
-        assert "21.5" in heard.stdout
+        assert "21.5" in received.stdout
     finally:
         for process in running:
             process.terminate()

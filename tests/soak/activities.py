@@ -6,18 +6,19 @@ import random
 import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 import bifrost
-from tests.soak.rig import BrokenError, Rig
-from valor.common import membership
+from tests.soak.rig import Rig
+from valor.common import topics
 from valor.common.behaviors import Behavior
 from valor.common.errors import ValorError
-from valor.common.messages import MotionState, PushRequest, VelocityCommand
-from valor.common.topics import PUSH, VALORCTL, VELOCITY
-from valor.valorctl import arm_motion, stepping
+from valor.common.messages import MotionState, PushRequest
+from valor.common.topics import PUSH
+from valor.valorctl.drive import arm_motion, stepping
 
 SPEED = 0.3  # forward [m/s]
 _PERIOD = 0.02  # between velocities [s]
@@ -25,30 +26,15 @@ _MOVING = 0.1  # of a pelvis that has begun to walk [m/s]
 
 
 class EnoughError(ValorError):
-    """The activity is told to end."""
+    """The activity is commanded to end."""
 
 
 class Going:
-    """An activity under way.
-
-    Attributes:
-        trouble: why it ended before it was told to; empty: it did not.
-    """
+    """An activity under way, in a thread."""
 
     def __init__(self, work: Callable[[Callable[[], None]], None]) -> None:
         self._enough = threading.Event()
-        self.trouble = ""
-        self._work = work
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        try:
-            self._work(self._check)
-        except EnoughError:
-            pass
-        except (ValorError, bifrost.Error, BrokenError) as error:
-            self.trouble = str(error)
+        self._done = ThreadPoolExecutor(1).submit(work, self._check)
 
     def _check(self) -> None:
         if self._enough.is_set():
@@ -56,13 +42,13 @@ class Going:
 
     @property
     def over(self) -> bool:
-        """Whether it has ended."""
-        return not self._thread.is_alive()
+        return self._done.done()
 
-    def end(self) -> None:
-        """Tell it to, and wait until it has."""
+    def end(self) -> str:
+        """End it; returns why it ended by itself."""
         self._enough.set()
-        self._thread.join()
+        error = self._done.exception()
+        return "" if error is None or isinstance(error, EnoughError) else str(error)
 
 
 Begin = Callable[[Rig, random.Random], Going]
@@ -96,16 +82,18 @@ def _soft_stop(rig: Rig, _: random.Random) -> Going:
 def _walking(rig: Rig, rng: random.Random) -> Going:
     rig.go(Behavior.WALK)
     turn = rng.uniform(-0.2, 0.2)
+    from geometry_msgs.msg import Twist
+
+    from valor.valorctl.drive.ros_client import RosClient
 
     def walk(check: Callable[[], None]) -> None:
-        network = membership.network(rig.instance, VALORCTL)
-        with bifrost.Node("valorctl", network=network) as node:
-            velocity = VELOCITY.publisher(node)
+        twist = Twist()
+        twist.linear.x, twist.angular.z = SPEED, turn
+        with RosClient(rig.instance, check) as ros:
+            velocity = ros.publisher(Twist, "cmd_vel", 1)
             while True:
                 check()
-                state = rig.tap.state
-                assert state is not None
-                velocity.publish(VelocityCommand(state.time, SPEED, 0.0, turn))
+                velocity.publish(twist)
                 time.sleep(_PERIOD)
 
     going = Going(walk)
@@ -146,7 +134,7 @@ def _reaching(rig: Rig, rng: random.Random) -> Going:
 
 def _fallen(rig: Rig, _: random.Random) -> Going:
     """Pushed over where it can be pushed, else let go."""
-    network = membership.network(rig.instance, VALORCTL)
+    network = topics.network(rig.instance)
     with bifrost.Node("valorctl", network=network) as node:
         pusher = PUSH.client(node)
         if pusher.wait_for_server(2.0):
@@ -161,17 +149,11 @@ def _fallen(rig: Rig, _: random.Random) -> Going:
 
 @dataclass(frozen=True)
 class Activity:
-    """One line of the table.
+    """One row of the table."""
 
-    Attributes:
-        begin: brings the robot there from Stand.
-        weight: how often it comes, relative to the others.
-        held: the joints stay where they are, whoever dies; those of a limp robot do not.
-    """
-
-    begin: Begin
-    weight: float
-    held: bool
+    begin: Begin  # from Stand
+    weight: float  # relative frequency
+    held: bool  # the joints stay where they are, whichever process is killed
 
 
 ACTIVITIES: Mapping[str, Activity] = {

@@ -1,27 +1,25 @@
-"""What must hold of all that a soak hears and finds; each check is tried with a fault of its own in the unit tests."""
+"""Checks of all that a soak receives and finds; the unit tests try each with a fault."""
 
 from __future__ import annotations
 
 import re
-from collections import OrderedDict
+from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from tests.soak.rules import lawful
-from valor.bags.errors import BagError
-from valor.bags.recovery import recover
-from valor.common.behaviors import REFLEX, Behavior
-from valor.common.messages import MotionState, Motor
+from valor.common.behaviors import BEHAVIOR_TRANSITIONS, OPERATIONAL, REFLEX, Behavior
+from valor.common.messages import Motor
+from valor.motion_manager.safety import RESUMED
 from valor.robot.description import RobotDescription
+from valor.valor_ros_controller.control_modes import ControlModeTable
 
 ROUNDING = 1e-9  # of a limit [rad, N·m]
-KEPT = 1000  # Motors whose behavior is remembered until their MotionState comes
 WARM_UP = 60.0  # of a process, in which it may still grow [s]
-SPAN = 60.0  # of samples that say something [s]
-GROWTH = 8.0  # between the first and the last quarter of the samples [MiB]
-HELD_UP = {"bag_recorder": 24.0}  # likewise, of who keeps what its queues of seconds once took
+SPAN = 60.0  # least time of samples after it [s]
+GROWTH = 8.0  # most growth of a process' memory [MiB]
+GROWTH_OF = {"bag_recorder": 24.0}  # likewise, of a process that keeps the memory of its queues
 _GRAVE = re.compile(r"Traceback \(most recent|Assertion failed|SIGABRT|SIGSEGV")
 _VECTORS = ("position", "velocity", "effort", "stiffness", "damping")
 
@@ -36,7 +34,6 @@ class MotorChecks:
         self._anew = False  # since then another Motion Manager began, or stood aside
 
     def find(self, motor: Motor) -> list[str]:
-        """What is wrong with it."""
         found = [*self._numbers(motor), *self._order(motor), *self._behavior(motor)]
         self._before = motor
         return found
@@ -82,34 +79,10 @@ class MotorChecks:
         return [f"behavior {motor.behavior} after {led}, {how}"]
 
 
-class StateChecks:
-    """What the Motion Manager reports against what it commands."""
-
-    def __init__(self) -> None:
-        self._commanded: OrderedDict[int, str] = OrderedDict()
-
-    def motor(self, motor: Motor) -> None:
-        """One that was heard."""
-        self._commanded[motor.proprioceptor_sequence] = motor.behavior
-        while len(self._commanded) > KEPT:
-            self._commanded.popitem(last=False)
-
-    def find(self, state: MotionState) -> list[str]:
-        """What is wrong with a report."""
-        commanded = self._commanded.get(state.proprioceptor_sequence, state.behavior)
-        if commanded in (state.behavior, REFLEX):
-            return []
-        return [f"MotionState says {state.behavior}, its Motor {commanded}"]
-
-
 def growth(samples: Sequence[tuple[float, float]]) -> float:
-    """How much more memory a process has at last than at first, its warm-up left out [MiB].
+    """Growth of a process' memory after its warm-up [MiB], from samples of time [s] and memory [MiB].
 
-    Args:
-        samples: time [s] and memory [MiB] of one process, in order.
-
-    Returns:
-        Difference of the medians of the last and the first quarter; 0 of samples over too short a time.
+    The difference of the medians of the last and the first quarter; 0 if the samples span too little time.
     """
     warm = [each for each in samples if each[0] - samples[0][0] >= WARM_UP]
     if len(warm) < 8 or warm[-1][0] - warm[0][0] < SPAN:
@@ -119,37 +92,12 @@ def growth(samples: Sequence[tuple[float, float]]) -> float:
     return float(np.median(memory[-quarter:]) - np.median(memory[:quarter]))
 
 
-def order_kept(granted: Sequence[str], seen: Sequence[str]) -> bool:
-    """Whether what was granted came about in its order, the last of it for good.
-
-    Two requests between two control periods are both obeyed, and only the second is seen.
-
-    Args:
-        granted: behaviors, each other than the one before.
-        seen: behaviors entered on request, in order.
-    """
-    rest = iter(granted)
-    return all(each in rest for each in seen) and list(seen[-1:]) == list(granted[-1:])
-
-
 def in_logs(folder: Path) -> list[str]:
-    """Tracebacks and aborts that services' logs tell of."""
+    """Tracebacks and aborts that services' logs report."""
     found = []
     for file in sorted(folder.glob("*.log*")):
         text = file.read_text(errors="replace")
         found += [f"{file.name}: {word}" for word in _GRAVE.findall(text)]
-    return found
-
-
-def unreadable(bags: Path) -> list[str]:
-    """Bags of a system that is down which nobody has finished, or that cannot be read."""
-    found = []
-    for bag in sorted(bags.rglob("*.mcap")):
-        try:
-            if not recover(bag).finished:
-                found.append(f"{bag.name} was left unfinished")
-        except BagError as error:
-            found.append(str(error))
     return found
 
 
@@ -160,3 +108,74 @@ def unexpected_ends(restarts: Mapping[str, int], killed: Mapping[str, int]) -> l
         for name, count in restarts.items()
         if count > killed.get(name, 0)
     ]
+
+
+MODES = ControlModeTable.load()
+STEPPING = frozenset({Behavior.STEP, Behavior.STEP_MANIPULATE, Behavior.WALK, Behavior.WALK_MANIPULATE})
+"""A foot may be in the air."""
+BY_ITSELF: Mapping[Behavior, frozenset[Behavior]] = {
+    Behavior.IDLE: frozenset({Behavior.STAND_PREP}),
+    Behavior.STEP: frozenset({Behavior.STAND}),
+    Behavior.STEP_MANIPULATE: frozenset({Behavior.STAND, Behavior.STAND_MANIPULATE}),
+    Behavior.GET_UP: frozenset({Behavior.STAND_PREP, Behavior.FALL}),
+}
+"""Where the robot goes without being asked: the end of a plan, of the way up."""
+_WORLDS = ("comms_manager", "device_emulators")
+UNITS_NEEDED: Mapping[str, Behavior] = {
+    "legs/1": Behavior.FREEZE,
+    "imu": Behavior.FREEZE,
+    "force_torque/1": Behavior.SOFT_STOP,
+}
+"""Units without which no balance is kept → where the robot goes when they are unplugged; all others: nowhere."""
+_BALANCING = OPERATIONAL | {Behavior.SOFT_STOP}
+_PASSED = _BALANCING
+"""Passed through within one period: by two requests, or Soft Stop, in which a robot that steps is held after a gap."""
+
+
+def lawful(before: Behavior, after: Behavior, *, anew: bool) -> bool:
+    """Return whether a Motor's behavior may follow another's; ``anew``: another Motion Manager made it."""
+    if anew:
+        return after in {RESUMED[before], Behavior.FALL}
+    beyond = {each for next_ in BEHAVIOR_TRANSITIONS[before].keys() & _PASSED for each in BEHAVIOR_TRANSITIONS[next_]}
+    return after is before or after in BEHAVIOR_TRANSITIONS[before].keys() | beyond
+
+
+def outcomes(event: str, process: str, behavior: Behavior) -> frozenset[Behavior]:
+    """Behaviors that the robot may be in after an event: a process is killed or stopped, or a unit is unplugged."""
+    stay = frozenset({behavior}) | BY_ITSELF.get(behavior, frozenset())
+    fall = frozenset({Behavior.FALL})
+    if event == "unplug":
+        needed = behavior in _BALANCING and process in UNITS_NEEDED
+        return stay | ({UNITS_NEEDED[process]} | (fall if behavior in STEPPING else set()) if needed else frozenset())
+    if (event, process) == ("kill", "motion_manager"):
+        return frozenset({RESUMED[behavior]}) | (fall if behavior in STEPPING else frozenset())
+    if event == "kill" and process in _WORLDS:  # another world, or a gap
+        return (fall | {Behavior.FREEZE} if behavior in _BALANCING else frozenset({RESUMED[behavior]})) | stay
+    if event == "stop" and process in ("motion_manager", *_WORLDS):
+        held = frozenset({Behavior.FREEZE} if behavior in _BALANCING | {Behavior.STAND_PREP} else ())
+        return stay | held | (fall if behavior in STEPPING else frozenset())
+    return stay
+
+
+def way(start: Behavior, goal: Behavior) -> list[Behavior]:
+    """The shortest sequence of requests from a behavior to another."""
+    closed = {Behavior.GET_UP, Behavior.FALL, Behavior.SOFT_STOP} - {goal}
+    ways = deque([[start]])
+    seen = {start}
+    while ways:
+        here = ways.popleft()
+        if here[-1] is goal:
+            return here[1:]
+        for after in BEHAVIOR_TRANSITIONS[here[-1]]:
+            if after not in seen and after not in closed:
+                seen.add(after)
+                ways.append([*here, after])
+    raise LookupError(f"no way from {start} to {goal}")
+
+
+def fit(mode: str, behavior: str) -> bool:
+    """Return whether the VRC may report a mode while the Motion Manager is in a behavior, both being at rest."""
+    row = MODES.modes.get(mode)
+    return (
+        mode == "stop" or MODES.behaviors[behavior] == mode or bool(row and row.motion and row.motion[-1] == behavior)
+    )

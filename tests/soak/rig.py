@@ -2,30 +2,50 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
-import subprocess
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import psutil
 
 import bifrost
-from harness.system import VALORCTL, System, leftovers, shared_memory
-from tests.soak import disk
-from tests.soak.checks import unexpected_ends
-from tests.soak.rules import Modes, way
-from tests.soak.tap import Tap
-from valor.common.behaviors import Behavior
+from harness.system import System, leftovers, shared_memory
+from tests.soak.checks import MotorChecks, unexpected_ends, way
+from valor.common.behaviors import REFLEX, Behavior
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import BehaviorReply, BehaviorRequest
-from valor.common.topics import BEHAVIOR
+from valor.common.messages import (
+    BehaviorReply,
+    BehaviorRequest,
+    ControlModeReport,
+    DeviceStatus,
+    GroundTruth,
+    MotionState,
+    Motor,
+    Proprioceptor,
+    Statistics,
+)
+from valor.common.topics import (
+    BEHAVIOR,
+    CONTROL_MODE,
+    DEVICES,
+    GROUND_TRUTH,
+    MOTION_STATE,
+    MOTOR,
+    PROPRIOCEPTOR,
+    STATISTICS,
+    Topic,
+)
 from valor.robot.description import RobotDescription
-from valor.valorctl.getting_up import get_up
-from valor.valorctl.supervision import Supervisor
+from valor.valorctl.drive.getting_up import get_up
+from valor.valorctl.instance.supervision import Supervisor
 
 NAME = "soak"
 PATIENCE = 60.0  # for anything to happen [s]
@@ -38,6 +58,96 @@ STILL_FOR = 1.0  # [robot time, s]
 SPOKEN = 3.0  # a service that has said nothing for so long is not well [s]
 _LOOK = 0.02  # [s]
 _BORROWED = ("hdt_driver",)  # another process speaks for it, and so gives its own pid
+QUEUE = 20_000  # messages that a busy computer may leave here unread
+_TAP_TURN = 0.02  # between looks [s]
+
+
+class Tap:
+    """Receives the topics of the Motion System in a thread."""
+
+    def __init__(self, instance: Instance, robot: RobotDescription) -> None:
+        self._node = bifrost.Node("soak_tap", network=bifrost.Network.load(instance.network_file, instance.keys))
+        self._robot = robot
+        self._lock = threading.Lock()
+        self._motor_checks = MotorChecks(robot)
+        self.faults: dict[str, int] = {}  # with their numbers
+        self.state: MotionState | None = None
+        self.mode = ""  # control mode
+        self.words: dict[str, bifrost.Received[Statistics]] = {}  # latest Statistics of each service
+        self.reflex = False  # the balance reflex controls
+        self.height = float("nan")  # of the true pelvis [m]
+        self.received_at = 0.0  # when the latest MotionState was received [monotonic, s]
+        self.unwell: list[str] = []  # units with faults
+        self._position: np.ndarray[Any, np.dtype[np.float64]] | None = None
+        self._reference: np.ndarray[Any, np.dtype[np.float64]] | None = None
+        self._moved = np.zeros(len(robot.joints))
+        topics: tuple[Topic[Any], ...] = (
+            MOTOR, MOTION_STATE, PROPRIOCEPTOR, CONTROL_MODE, DEVICES, GROUND_TRUTH, *STATISTICS.values()
+        )  # fmt: skip
+        self._subscribers = [topic.subscriber(self._node, QUEUE, limited=False) for topic in topics]
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="tap")
+        self._thread.start()
+
+    def close(self) -> None:
+        self._closing.set()
+        self._thread.join()
+        self._node.close()
+
+    def mark(self) -> None:
+        """Movement counts from here on."""
+        with self._lock:
+            self._reference = None if self._position is None else self._position.copy()
+            self._moved[:] = 0.0
+
+    def moved(self) -> tuple[str, float]:
+        """The joint that was farthest from where it was at the mark, and how far [rad]; none that turns for ever."""
+        with self._lock:
+            farthest = int(np.argmax(np.where(np.isfinite(self._robot.upper), self._moved, 0.0)))
+            return self._robot.joints[farthest], float(self._moved[farthest])
+
+    def strayed(self, far: float) -> bool:
+        """Return whether a joint has moved so far since the mark, or since this was last so [rad]."""
+        if self.moved()[1] > far:
+            self.mark()
+            return True
+        return False
+
+    def take_faults(self) -> list[str]:
+        with self._lock:
+            found = [f"{what} ({count} times)" for what, count in self.faults.items()]
+            self.faults.clear()
+        return found
+
+    def _run(self) -> None:
+        while not self._closing.wait(_TAP_TURN):
+            for subscriber in self._subscribers:
+                received = subscriber.drain()
+                with self._lock:
+                    for each in received:
+                        self._hear(each)
+
+    def _hear(self, received: bifrost.Received[Any]) -> None:
+        match message := received.message:
+            case Motor():
+                self.reflex = message.behavior == REFLEX
+                for fault in self._motor_checks.find(message):
+                    self.faults[fault] = self.faults.get(fault, 0) + 1
+            case MotionState():
+                self.state, self.received_at = message, time.monotonic()
+            case Proprioceptor():
+                self._position = message.joint_position
+                if self._reference is not None:
+                    np.maximum(self._moved, np.abs(self._position - self._reference), out=self._moved)
+            case ControlModeReport():
+                self.mode = message.current_control_mode
+            case DeviceStatus():
+                states = zip(message.units, message.states, strict=True)
+                self.unwell = [unit for unit, state in states if state != "ok"]
+            case GroundTruth():
+                self.height = float(message.pelvis_position_in_world[2])
+            case Statistics():
+                self.words[message.service] = received
 
 
 class BrokenError(Exception):
@@ -45,16 +155,7 @@ class BrokenError(Exception):
 
 
 class Rig:
-    """One system at a time, brought up anew where nothing else brings the robot to its feet.
-
-    Attributes:
-        tap: of the present system.
-        killed: how often each process was killed since it came up.
-        excused: processes that may end by themselves, with whatever words, until it is down.
-        own_disk: what is written goes to a disk that can be filled.
-        memory: samples of each process, by name and pid: time [s], memory [MiB].
-        ups: how often it was brought up.
-    """
+    """One system at a time, started again where nothing else brings the robot to its feet."""
 
     tap: Tap
     client: bifrost.Client[BehaviorRequest, BehaviorReply]
@@ -64,51 +165,15 @@ class Rig:
         self._up = ("up", "--profile", profile, *options)
         self.system = System(NAME, home)
         self.instance = Instance(NAME, home)
-        self.modes = Modes()
-        self.killed: Counter[str] = Counter()
-        self.excused: set[str] = set()
-        self.own_disk = disk.mount(home)
-        self.memory: dict[tuple[str, int], list[tuple[float, float]]] = {}
+        self.killed: Counter[str] = Counter()  # since the system is up
+        self.memory: dict[tuple[str, int], list[tuple[float, float]]] = {}  # by name and pid: time [s], memory [MiB]
         self.ups = 0
         self._shared = shared_memory()
 
     # --- the system ---------------------------------------------------------------------------------------------
 
     def up(self) -> None:
-        """Bring it up, the robot standing."""
         self.system.valorctl(*self._up, timeout=UP)
-        self._attach()
-
-    def begin_up(self) -> subprocess.Popen[str]:
-        """Have it come up; ``end_up`` waits for it."""
-        command = [str(VALORCTL), *self._up]
-        pipe = subprocess.PIPE
-        up = subprocess.Popen(command, env=self.system.environment, stdout=pipe, stderr=subprocess.STDOUT, text=True)
-        self.supervisor = Supervisor(self.instance)
-        return up
-
-    def end_up(self, up: subprocess.Popen[str], killed: str) -> list[str]:
-        """Wait until it is up, or has given up because of who was killed; then once more.
-
-        Returns what was not as it must be.
-        """
-        said, _ = up.communicate(timeout=UP)
-        found = []
-        if up.returncode:
-            why = [line for line in said.splitlines() if line.startswith("valorctl: ")]
-            if len(why) != 1:
-                found.append(f"up ended with {up.returncode}, and does not say why in one line: {said[-300:]}")
-            elif "did not start" in why[0] and f"{killed} did not start: ended, terminated by SIGKILL" not in why[0]:
-                found.append(f"up ended with {up.returncode}: {why[0]}")
-            found += [f"left after up gave up: {each}" for each in leftovers(self.home, NAME, self._shared)]
-            self.system.valorctl(*self._up, timeout=UP)
-            self.killed.clear()
-        before = self.killed.copy()
-        self._attach()
-        self.killed.update(before)
-        return found
-
-    def _attach(self) -> None:
         self.ups += 1
         self.killed.clear()
         self.robot = RobotDescription.load(self.instance.settings().robot)
@@ -116,52 +181,41 @@ class Rig:
         self._node = bifrost.Node("soak", network=network)
         self.client = BEHAVIOR.client(self._node)
         self.tap = Tap(self.instance, self.robot)
-        self.tap.__enter__()
         self.supervisor = Supervisor(self.instance)
         self.wait(lambda: self.tap.state is not None, "a MotionState")
 
     def down(self) -> list[str]:
         """Take it down; returns what it has left, and what ended by itself."""
         restarts = self.supervisor.restarts()
-        self.tap.__exit__(None, None, None)
+        self.tap.close()
         self._node.close()
         self.system.valorctl("down")
-        for name in self.excused:
-            restarts.pop(name, None)
         return unexpected_ends(restarts, self.killed) + [
             f"left after down: {each}" for each in leftovers(self.home, NAME, self._shared)
         ]
 
     def pids(self) -> dict[str, int]:
-        """Those that run, by name."""
         return {name: info.pid for name, info in self.supervisor.processes().items() if info.pid}
 
-    def send(self, name: str, number: signal.Signals) -> float:
-        """Send a signal to a process; returns when, monotonic [s]."""
+    def sample(self) -> None:
+        """Store how much memory each process has."""
+        for name, pid in self.pids().items():
+            with contextlib.suppress(psutil.Error):
+                sample = time.monotonic(), psutil.Process(pid).memory_info().rss / 2**20
+                self.memory.setdefault((name, pid), []).append(sample)
+
+    def send(self, name: str, number: signal.Signals) -> None:
         pid = self.pids().get(name)
         if pid is None:
             raise BrokenError(f"{name} does not run")
         if number is signal.SIGKILL:
             self.killed[name] += 1
         os.kill(pid, number)
-        return time.monotonic()
-
-    def sample(self) -> None:
-        """Note how much memory each process has."""
-        for name, pid in self.pids().items():
-            try:
-                memory = psutil.Process(pid).memory_info().rss / 2**20
-            except psutil.Error:
-                continue
-            self.memory.setdefault((name, pid), []).append((time.monotonic(), memory))
 
     def unready(self, hit: Mapping[str, int], since: float) -> list[str]:
-        """Processes that are not known to be ready, and units of devices that are not well.
+        """Processes that are not ready, and units with faults.
 
-        Args:
-            hit: those of both that something happened to, which must have said so since, each with the pid that it had
-                before if it was killed.
-            since: monotonic [s].
+        Those in ``hit``, with their pids if they were killed, must have reported so since a monotonic time [s].
         """
         running = self.pids()
         found = [name for name in self.supervisor.processes() if name not in running]
@@ -172,10 +226,10 @@ class Rig:
             elif word is None:
                 well = False
             else:
-                heard = word.at > (since if name in hit else time.monotonic() - SPOKEN)
-                known = name in _BORROWED or word.pid == now
+                fresh = 1e-9 * word.stamp > (since if name in hit else time.monotonic() - SPOKEN)
+                known = name in _BORROWED or word.message.pid == now
                 states = ("ready",) if name in hit else ("ready", "degraded")
-                well = heard and known and now != hit.get(name) and word.state in states
+                well = fresh and known and now != hit.get(name) and word.message.state in states
             if not well:
                 found.append(name)
         found += [unit for unit in self.tap.unwell if unit in hit]  # others are late on a busy computer
@@ -183,7 +237,7 @@ class Rig:
 
     def _daemon_answers(self, processes: int) -> bool:
         try:
-            graph = self.tap.graph()
+            graph = self._node.graph(timeout=1.0)
         except bifrost.Error:
             return False
         return len(graph.nodes) >= processes - 2  # itself, and the driver that is ROS' alone
@@ -192,22 +246,15 @@ class Rig:
 
     @property
     def behavior(self) -> Behavior:
-        """The one reported last."""
         assert self.tap.state is not None
         return Behavior(self.tap.state.behavior)
 
     @property
     def time(self) -> float:
-        """Robot time [s]."""
         assert self.tap.state is not None
         return self.tap.state.time * 1e-9
 
     def wait(self, condition: Callable[[], object], what: str, patience: float = PATIENCE) -> None:
-        """Wait for something.
-
-        Raises:
-            BrokenError: not in time.
-        """
         deadline = time.monotonic() + patience
         while not condition():
             if time.monotonic() > deadline:
@@ -226,11 +273,6 @@ class Rig:
                 time.sleep(0.1)
 
     def go(self, behavior: Behavior) -> None:
-        """Have it come about, asking again while the robot is on its way or comes to rest.
-
-        Raises:
-            BrokenError: refused to the end, with the reason, or granted and not seen.
-        """
         deadline = time.monotonic() + TO_STAND
         while not (reply := self.ask(behavior)).accepted:
             if time.monotonic() > deadline:
@@ -239,12 +281,7 @@ class Rig:
         self.wait(lambda: self.behavior is behavior, f"{behavior} after it was granted")
 
     def rest(self) -> None:
-        """Wait until the robot has stood still for a while, its arms too.
-
-        Raises:
-            BrokenError: it does not come to rest, or has fallen.
-        """
-
+        """Wait until the robot has stood still for a while, its arms too."""
         moved = self.time
         self.tap.mark()
 

@@ -1,27 +1,27 @@
-"""A walk from a bag: the same as from what an observer heard, its beginning and end, and where the feet stood."""
+"""A walk from a bag: the same as from what an observer received, its beginning and end, and where the feet stood."""
 
-from __future__ import annotations
-
-from dataclasses import fields, replace
-from itertools import pairwise
+import json
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from harness.analysis_bag import write_messages
-from tests.unit.test_walk_report import COUNT, LATE, ROBOT, SPEED, walk
-from valor.analysis.bag import Bag
-from valor.analysis.recording import Recording
-from valor.analysis.walk import MOVING, SHORTEST_PRINT, Figures, Timeliness, Track, footprints, runs
+from harness.motion_states import motion_state
+from harness.places import ROBOTS
+from valor.analysis.reading.bag import Bag
+from valor.analysis.reading.recording import Recording
+from valor.analysis.walk.track import MOVING, SHORTEST_PRINT, Timeliness, Track, WalkMetrics, footprints, named, rows
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import WALKING
-from valor.common.messages import ClockStatus, GroundTruth, MotionState
+from valor.common.messages import ClockStatus, GroundTruth, MotionState, Proprioceptor
 from valor.common.topics import CLOCK, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.robot.description import RobotDescription
+from valor.robot.legs import knees
 from valor.robot.model import full_model
 
 PERIOD = 0.01  # of the truth [s]
@@ -38,23 +38,23 @@ def recording(path: Path, *messages: object) -> Recording:
     return Recording(Bag(path), ROBOT)
 
 
-def test_a_bag_tells_what_an_observer_heard(tmp_path: Path) -> None:
+def test_a_bag_gives_what_an_observer_received(tmp_path: Path) -> None:
     states, measured = walk()
-    heard = Track.heard(states, measured, ROBOT)
-    told = Track.of(recording(tmp_path / "walk.mcap", *states, *measured))
+    received = Track.from_messages(states, measured, ROBOT)
+    reported = Track.of(recording(tmp_path / "walk.mcap", *states, *measured))
     for field in fields(Track):
-        np.testing.assert_allclose(getattr(told, field.name), getattr(heard, field.name), err_msg=field.name)
-    assert Figures.of(told) == Figures.of(heard)
+        np.testing.assert_allclose(getattr(reported, field.name), getattr(received, field.name), err_msg=field.name)
+    assert WalkMetrics.of(reported) == WalkMetrics.of(received)
 
 
-def test_a_state_whose_measurement_nobody_heard_is_left_out_and_no_force_is_compared_across_it() -> None:
+def test_a_state_whose_measurement_no_one_received_is_left_out_and_no_force_is_compared_across_it() -> None:
     states, measured = walk()
-    whole = Track.heard(states, measured, ROBOT)
-    wild = altered(states[9], desired_foot_forces=np.full(2, 1e6))  # nobody hears what was felt a period later
-    part = Track.heard([*states[:9], wild, *states[10:]], measured[:10] + measured[11:], ROBOT)
+    whole = Track.from_messages(states, measured, ROBOT)
+    wild = altered(states[9], desired_foot_forces=np.full(2, 1e6))  # nobody receives what was felt a period later
+    part = Track.from_messages([*states[:9], wild, *states[10:]], measured[:10] + measured[11:], ROBOT)
     assert part.sequence.tolist() == [*whole.sequence[:10], *whole.sequence[11:]]
-    figures = Figures.of(part)
-    assert figures.force_error == pytest.approx(Figures.of(whole).force_error)
+    figures = WalkMetrics.of(part)
+    assert figures.force_error == pytest.approx(WalkMetrics.of(whole).force_error)
     assert figures.ticks == COUNT - 1
 
 
@@ -62,7 +62,7 @@ def walked(behaviors: list[str], speeds: list[float]) -> Track:
     states, measured = walk()
     made = [altered(state, behavior=behavior, pelvis_linear_velocity_in_odom=np.array([0.0, speed, 0.0]))
             for state, behavior, speed in zip(states, behaviors, speeds, strict=False)]  # fmt: skip
-    return Track.heard(made, measured, ROBOT)
+    return Track.from_messages(made, measured, ROBOT)
 
 
 @pytest.mark.parametrize("behavior", sorted(WALKING))
@@ -80,8 +80,8 @@ def test_a_walk_lasts_from_the_first_motion_to_the_last(behavior: str) -> None:
 def test_a_walk_ends_with_the_fall_and_not_where_the_robot_comes_to_rest() -> None:
     track = walked(["fall", "walk", "walk", "walk", "fall", "fall", "walk"], [1.0] * 7)
     assert track.walk() == (track.time[1], track.time[4])
-    assert Figures.of(track.between(*track.walk())).fell
-    assert not Figures.of(track.between(track.time[1], track.time[3])).fell
+    assert WalkMetrics.of(track.between(*track.walk())).fell
+    assert not WalkMetrics.of(track.between(track.time[1], track.time[3])).fell
 
 
 @pytest.mark.parametrize(("behavior", "speed"), [("stand", 1.0), ("walk", 0.0)])
@@ -94,15 +94,8 @@ def test_what_is_counted_since_start_is_counted_for_the_walk_alone() -> None:
     states, measured = walk()
     states[0] = altered(states[0], qp_failures=3, torque_saturations=40)
     states[-1] = altered(states[-1], qp_failures=20, torque_saturations=95)
-    figures = Figures.of(Track.heard(states, measured, ROBOT))
+    figures = WalkMetrics.of(Track.from_messages(states, measured, ROBOT))
     assert (figures.qp_failures, figures.saturations) == (17, 55)
-
-
-def test_a_walk_of_no_time_has_no_speed() -> None:
-    states, measured = walk()
-    figures = Figures.of(Track.heard(states, measured, ROBOT))
-    assert figures.speed == pytest.approx(SPEED)
-    assert replace(figures, duration=0.0).speed == 0.0
 
 
 def test_time_that_was_lost_is_counted_while_the_walk_lasted(tmp_path: Path) -> None:
@@ -114,15 +107,6 @@ def test_time_that_was_lost_is_counted_while_the_walk_lasted(tmp_path: Path) -> 
     assert Timeliness.of(bag, Track.of(bag)).deadlines_missed == LATE
     silent = recording(tmp_path / "no_clock.mcap", *states, *measured)
     assert Timeliness.of(silent, track) == Timeliness(0, 0, 0.0)
-    assert Timeliness.heard([], track, ROBOT) == Timeliness(0, 0, 0.0)
-
-
-@given(st.lists(st.booleans(), max_size=30))
-def test_stands_are_the_runs_of_contact(touching: list[bool]) -> None:
-    stands = runs(np.array(touching, dtype=bool))
-    covered = [i for first, last in stands for i in range(first, last + 1)]
-    assert covered == [i for i, each in enumerate(touching) if each]
-    assert all(before[1] + 1 < after[0] for before, after in pairwise(stands))
 
 
 def truth(k: int, pose: tuple[FloatArray, FloatArray], left: bool, right: bool) -> GroundTruth:
@@ -160,9 +144,78 @@ def test_a_foot_is_printed_where_it_stood_in_the_middle_of_its_stand(tmp_path: P
         sole = data.site((ROBOT.tables.feet.left if is_left else ROBOT.tables.feet.right).sole)
         np.testing.assert_allclose(each.position, sole.xpos, atol=1e-9)
         assert each.heading == pytest.approx(0.02 * k, abs=1e-6)
+    hanging = recording(tmp_path / "air.mcap", *(truth(k, pose(k), False, False) for k in range(3)))
+    with pytest.raises(BagError, match="no foot in contact"):
+        footprints(hanging)
 
 
-def test_a_robot_that_hangs_leaves_no_prints(tmp_path: Path) -> None:
-    bag = recording(tmp_path / "air.mcap", *(truth(k, pose(k), False, False) for k in range(3)))
-    with pytest.raises(BagError, match="no foot ever stood"):
-        footprints(bag)
+# What is reported of a walk: numbers that a made-up walk must give, under names that programs read.
+
+
+ROBOT = RobotDescription.load(ROBOTS / "escher")
+COUNT = 400  # control periods
+SPEED = 0.3  # [m/s]
+BENT, STRAIGHT = 0.9, 0.4  # knees' angles: nearly always, and once [rad]
+PLANNED, FELT = 400.0, 390.0  # vertical force under each foot [N]
+LATE = 5  # ticks beyond the control period
+
+
+def walk() -> tuple[list[MotionState], list[Proprioceptor]]:
+    """A robot that walks straight on; each state plans the force that is felt a period later."""
+    states, measured = [], []
+    for k in range(COUNT):
+        time = round(1e9 * k * ROBOT.control_period)
+        joints = np.zeros(len(ROBOT.joints))
+        joints[knees(ROBOT).indices] = BENT
+        if k == COUNT // 2:
+            joints[knees(ROBOT).indices[1]] = STRAIGHT
+        wrench = np.array([0.0, 0.0, FELT, 0.0, 0.0, 0.0])
+        states.append(
+            motion_state(
+                position=(1e-9 * time * SPEED, 0.0), time=time, proprioceptor_sequence=1000 + k,
+                dcm_in_odom=np.array([0.003, 0.0, 0.0]), dcm_reference_in_odom=np.array([0.0, 0.004, 0.0]),
+                pelvis_linear_velocity_in_odom=np.array([SPEED, 0.0, 0.0]),
+                desired_foot_forces=np.array([PLANNED, PLANNED]), qp_failures=3 + (k > 100),
+                torque_saturations=10 + k // 100,
+                tick_time=ROBOT.control_period * (1.5 if k < LATE else 0.5),
+            )
+        )  # fmt: skip
+        content: dict[str, Any] = dict.fromkeys(Proprioceptor.__struct_fields__, np.zeros(6))
+        content |= {
+            "time": time, "sequence": 1000 + k, "motor_sequence": k, "joint_position": joints,
+            "left_foot_wrench": wrench, "right_foot_wrench": wrench, "battery_voltage": 48.0, "motor_behavior": "walk",
+        }  # fmt: skip
+        measured.append(Proprioceptor(**content))
+    return states, measured
+
+
+@pytest.fixture(scope="module")
+def report() -> tuple[WalkMetrics, Timeliness]:
+    return WalkMetrics.of(Track.from_messages(*walk(), ROBOT)), Timeliness(LATE, 2, 0.5)
+
+
+def test_every_figure_is_there_with_its_unit(report: tuple[WalkMetrics, Timeliness]) -> None:
+    reported = json.loads(json.dumps(named(*report), allow_nan=False))
+    assert reported.pop("tick_p99_s") == pytest.approx(1.5 * ROBOT.control_period)
+    assert reported == {
+        "dcm_error_rms_m": pytest.approx({"x": 0.003, "y": 0.004, "z": 0.0}),
+        "smallest_knee_angle_rad": STRAIGHT,
+        "torque_saturations": (COUNT - 1) // 100,
+        "foot_force_error_rms_n": pytest.approx(PLANNED - FELT),
+        "foot_force_error_median_n": pytest.approx(PLANNED - FELT),
+        "solver_failures": 1,
+        "ticks": COUNT,
+        "tick_median_s": pytest.approx(0.5 * ROBOT.control_period),
+        "deadlines_missed": LATE,
+        "waits_timed_out": 2,
+        "clock_slip_s": pytest.approx(0.5),
+    }
+
+
+def test_the_table_shows_the_same(report: tuple[WalkMetrics, Timeliness]) -> None:
+    shown = dict(rows(*report))
+    assert shown["smallest knee angle"] == "0.40 rad"
+    assert shown["DCM error, rms"].startswith("3.0, 4.0, 0.0 mm")
+    assert shown["deadlines missed"] == f"{LATE} of {COUNT}"
+    assert shown["solver failures"] == "1"
+    assert shown["clock slip"] == "0.50 s"

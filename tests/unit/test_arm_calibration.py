@@ -1,6 +1,4 @@
-"""``calibration/arms.yaml``: what it changes, and what of it is refused."""
-
-from __future__ import annotations
+"""``calibration/arms.yaml``: effects and validation."""
 
 import shutil
 from pathlib import Path
@@ -8,15 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.closed_loop import load_robot
 from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
-from valor.motion_manager.joints.servo_compensation import ServoCompensation
+from valor.motion_manager.joints.servos import ServoCompensation
 from valor.robot import arm_calibration
 from valor.robot.arm_calibration import ArmCalibration, JointCalibration, LinkCalibration
+from valor.robot.checks.folder import examine
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model, full_model
-from valor.robot.soundness import examine
 from valor.whole_body.motor_command import MotorCommand
 
 
@@ -43,7 +40,7 @@ def write(robot: RobotDescription, **arms: ArmCalibration) -> Path:
     return arm_calibration.write(robot, arm_calibration.joined(robot, arms))
 
 
-def test_what_is_written_is_read_again_and_the_other_arm_is_kept(robot: RobotDescription) -> None:
+def test_the_file_is_read_back_and_keeps_the_other_arm(robot: RobotDescription) -> None:
     assert arm_calibration.load(robot) is None
     write(robot, left_arm=found(robot, "left"))
     write(robot, right_arm=found(robot, "right", friction=4.0))
@@ -56,7 +53,7 @@ def test_what_is_written_is_read_again_and_the_other_arm_is_kept(robot: RobotDes
     assert [file.name for file in (robot.folder / "calibration").iterdir()] == ["arms.yaml"]
 
 
-def test_links_weigh_as_found_for_controllers_alone(robot: RobotDescription) -> None:
+def test_only_controllers_use_the_identified_links(robot: RobotDescription) -> None:
     before = controller_model(robot)
     forearm = before.body("r_forearm")
     mass, inertia = float(before.mj.body_mass[forearm]), before.mj.body_inertia[forearm].copy()
@@ -68,7 +65,7 @@ def test_links_weigh_as_found_for_controllers_alone(robot: RobotDescription) -> 
     assert full_model(robot).mj.body("r_forearm").mass[0] == mass
 
 
-def test_servos_begin_with_what_was_found(robot: RobotDescription) -> None:
+def test_servos_start_with_identified_parameters(robot: RobotDescription) -> None:
     write(robot, right_arm=found(robot, "right", backlash=0.14))
     servos = ServoCompensation(robot, MotorCommand(robot))
     right = np.isin(servos.joints, robot.group_indices("right_arm"))
@@ -78,7 +75,7 @@ def test_servos_begin_with_what_was_found(robot: RobotDescription) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("robot: escher", "robot: thor", "robot: got 'thor'; expected 'escher'"),
         ("r_wrist_yaw:", "r_wrist_jaw:", "right_arm.joints: got r_shoulder_pitch, "),
@@ -90,8 +87,8 @@ def test_servos_begin_with_what_was_found(robot: RobotDescription) -> None:
         ("mass: 1.5", "mass: 0", "mass: expected"),
     ],
 )
-def test_what_does_not_fit_is_refused_by_file_line_and_key(
-    robot: RobotDescription, old: str, new: str, told: str
+def test_an_invalid_key_is_rejected_with_file_and_line(
+    robot: RobotDescription, old: str, new: str, reported: str
 ) -> None:
     file = write(robot, right_arm=found(robot, "right"))
     content = file.read_text()
@@ -99,7 +96,7 @@ def test_what_does_not_fit_is_refused_by_file_line_and_key(
     file.write_text(content.replace(old, new, 1))
     with pytest.raises(ConfigurationError, match=r"arms\.yaml:\d+:\d+: ") as caught:
         controller_model(robot)
-    assert told in str(caught.value)
+    assert reported in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -107,25 +104,21 @@ def test_what_does_not_fit_is_refused_by_file_line_and_key(
     ("file", "old", "new"),
     [("model.xml", "<worldbody>", "<worldbody> "), ("robot.yaml", "stiffness: 150", "stiffness: 160")],
 )
-def test_a_robot_that_was_changed_since_is_told(robot: RobotDescription, file: str, old: str, new: str) -> None:
+def test_a_calibration_of_a_changed_robot_is_rejected(robot: RobotDescription, file: str, old: str, new: str) -> None:
     write(robot, right_arm=found(robot, "right"))
     changed = robot.folder / file
     changed.write_text(changed.read_text().replace(old, new, 1 if file == "model.xml" else -1))
     again = RobotDescription.load(robot.folder)
-    with pytest.raises(ConfigurationError, match=r"fits: got \w{16}; expected \w{16}: model.xml or .* are others: "):
+    with pytest.raises(ConfigurationError, match=r"fits: got \w{16}; expected \w{16}: model.xml or .* changed: "):
         arm_calibration.load(again)
-    assert any("calibrate anew" in str(fault) for fault in examine(robot.folder).faults)
+    assert any("calibrate again" in str(fault) for fault in examine(robot.folder).faults)
     write(again, left_arm=found(robot, "left"))  # what does not fit any more is not kept
     table = arm_calibration.load(again)
     assert table is not None
     assert [group for group, _ in table.present()] == ["left_arm"]
 
 
-def test_a_folder_that_is_read_only_stays_as_it_was(robot: RobotDescription) -> None:
+def test_a_file_that_cannot_be_written_is_reported(robot: RobotDescription) -> None:
     (robot.folder / "calibration").write_text("in the way")
     with pytest.raises(ConfigurationError, match=r"arms\.yaml: cannot be written: "):
         write(robot, right_arm=found(robot, "right"))
-
-
-def test_thor_is_left_as_it_is() -> None:
-    assert arm_calibration.load(load_robot("thor")) is None

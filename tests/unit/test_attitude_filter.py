@@ -1,7 +1,5 @@
 """An attitude from rates and accelerations: aligned at rest, turned by the rate, drawn to where gravity is."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -11,7 +9,7 @@ from hypothesis import strategies as st
 
 from harness.examples import examples
 from valor.common.rotation import Quaternion, Vector, multiply, rotate
-from valor.comms_manager.hardware.attitude_filter import (
+from valor.comms_manager.hardware.kvh import (
     ALIGNMENT,
     GRAVITY,
     LONGEST_GAP,
@@ -55,7 +53,7 @@ def aligned(roll: float = 0.0, pitch: float = 0.0) -> AttitudeFilter:
 
 @given(Tilt, Tilt)
 @examples(50)
-def test_at_rest_it_is_tilted_as_gravity_says(roll: float, pitch: float) -> None:
+def test_at_rest_it_is_tilted_as_gravity_requires(roll: float, pitch: float) -> None:
     np.testing.assert_allclose(up(aligned(roll, pitch).orientation), up(tilted(roll, pitch)), atol=1e-9)
 
 

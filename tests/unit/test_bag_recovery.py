@@ -1,8 +1,5 @@
-"""A bag cut anywhere becomes a whole one that holds every message of every chunk that was whole."""
+"""Recovery of a bag that is cut anywhere keeps every message of every complete chunk."""
 
-from __future__ import annotations
-
-import fcntl
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -77,7 +74,7 @@ def read(path: Path) -> Messages:
 
 @examples(150, HealthCheck.function_scoped_fixture)
 @given(data=st.data())
-def test_cut_anywhere(tmp_path: Path, data: st.DataObject) -> None:
+def test_a_bag_cut_anywhere_keeps_all_complete_chunks(tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "cut.mcap"
     path.unlink(missing_ok=True)
     chunks = data.draw(st.lists(st.lists(st.integers(0, 2), min_size=1, max_size=6), max_size=4))
@@ -98,24 +95,9 @@ def test_cut_anywhere(tmp_path: Path, data: st.DataObject) -> None:
     assert path.read_bytes() == whole
 
 
-def test_what_was_flushed_is_kept_when_the_writer_stops_there(tmp_path: Path) -> None:
-    messages, _ = write(tmp_path / "a.mcap", [[0, 1], [2, 0, 0], [1]], close=False)
-    found = recover(tmp_path / "a.mcap")
-    assert (found.messages, found.bytes_cut) == (6, 0)
-    assert read(tmp_path / "a.mcap") == messages
-
-
-def test_a_finished_bag_is_left_alone(tmp_path: Path) -> None:
-    messages, _ = write(tmp_path / "a.mcap", [[0, 1], [2]])
-    before = (tmp_path / "a.mcap").read_bytes()
-    assert recover(tmp_path / "a.mcap").finished
-    assert (tmp_path / "a.mcap").read_bytes() == before
-    assert read(tmp_path / "a.mcap") == messages
-
-
 @examples(40, HealthCheck.function_scoped_fixture)
 @given(data=st.data())
-def test_a_finished_bag_keeps_its_messages_whatever_its_index_lost(tmp_path: Path, data: st.DataObject) -> None:
+def test_a_finished_bag_with_a_damaged_index_keeps_its_messages(tmp_path: Path, data: st.DataObject) -> None:
     path = tmp_path / "a.mcap"
     path.unlink(missing_ok=True)
     _, flushed = write(path, [[0, 1], [2]])
@@ -127,7 +109,7 @@ def test_a_finished_bag_keeps_its_messages_whatever_its_index_lost(tmp_path: Pat
     assert path.read_bytes()[: flushed[-1][0]] == damaged[: flushed[-1][0]]
 
 
-def test_nothing_after_a_damaged_chunk_is_trusted(tmp_path: Path) -> None:
+def test_recovery_cuts_at_the_first_damaged_chunk(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     messages, flushed = write(path, [[0, 1], [2, 0], [1]], close=False)
     damaged = bytearray(path.read_bytes())
@@ -137,7 +119,7 @@ def test_nothing_after_a_damaged_chunk_is_trusted(tmp_path: Path) -> None:
     assert read(path) == messages[:2]
 
 
-def test_a_bag_being_recorded_is_not_touched(tmp_path: Path) -> None:
+def test_a_bag_being_recorded_is_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     bag = Bag(path)
     before = path.read_bytes()
@@ -148,22 +130,13 @@ def test_a_bag_being_recorded_is_not_touched(tmp_path: Path) -> None:
     assert recover(path).finished
 
 
-def test_the_lock_goes_with_the_writer(tmp_path: Path) -> None:
-    Bag(tmp_path / "a.mcap").close()
-    with open(tmp_path / "a.mcap", "rb") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 @pytest.mark.parametrize("content", [b"ROSBAG V2.0\n", b"\x89PNG\r\n"])
-def test_what_is_no_bag_is_refused_and_kept(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_bag_is_rejected_and_unchanged(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
     with pytest.raises(BagError, match=r"a\.mcap: not an MCAP file"):
         recover(path)
     assert path.read_bytes() == content
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(BagError, match=r"none\.mcap: No such file"):
         recover(tmp_path / "none.mcap")
 

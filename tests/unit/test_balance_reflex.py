@@ -1,7 +1,5 @@
 """The balance reflex: a robot whose Motion Manager dies while it walks comes to stand; held at once, it would fall."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -85,7 +83,7 @@ def test_devices_that_demand_to_be_held_are_held_once_both_feet_stand(reflex: Ba
     assert not reflex.done
 
 
-def test_states_that_cannot_be_believed_end_it(reflex: BalanceReflex) -> None:
+def test_states_that_cannot_be_accepted_end_it(reflex: BalanceReflex) -> None:
     robot = begun(reflex)
     reflex.update(robot.proprioceptor())
     for _ in range(round(FAULTY / ROBOT.control_period)):

@@ -1,6 +1,4 @@
-"""The filter of round trips to another computer's clock, on clocks that are apart, drift, and answer late."""
-
-from __future__ import annotations
+"""The filter of round trips, with clocks that differ, drift and reply late."""
 
 import random
 
@@ -45,8 +43,6 @@ def test_of_three_seconds_and_fifty_ppm_no_millisecond_is_left() -> None:
         assert best is not None
         if second > 5:
             assert abs(best.ahead - 3 * SECOND - 50e-6 * now) < 0.5e-3 * SECOND
-    drift = clock.drift()
-    assert drift is not None and abs(drift - 50e-6) < 5e-6
 
 
 def test_a_computer_that_was_started_anew_has_another_clock() -> None:
@@ -61,4 +57,4 @@ def test_a_computer_that_was_started_anew_has_another_clock() -> None:
 def test_an_answer_before_its_question_is_passed_over() -> None:
     clock = ClockFilter()
     clock.add(10, 5, 9)
-    assert clock.best(11) is None and clock.drift() is None
+    assert clock.best(11) is None

@@ -1,6 +1,4 @@
-"""What is granted to whom: exactly what the tables say, whoever asks, and the same after the network file."""
-
-from __future__ import annotations
+"""Grants: exactly those of the tables, also after a round trip through the network file."""
 
 import json
 from pathlib import Path
@@ -8,7 +6,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bifrost import Charter, Grants
+from bifrost import AccessPolicy, Grants
 from bifrost.directory import Entry, NodeRecord
 from bifrost.grants import DAEMON, MEMBER
 from bifrost.network import read_grants
@@ -34,7 +32,7 @@ def whose(key: str) -> str:
 
 @given(tables, tables, st.lists(entries, max_size=6).map(tuple), st.sampled_from([*NAMES, MEMBER, None]))
 @examples(150)
-def test_a_node_keeps_what_it_may_have_and_each_refusal_is_told(
+def test_a_node_keeps_what_it_may_have_and_each_refusal_is_reported(
     publishers: dict[str, tuple[str, ...]],
     servers: dict[str, tuple[str, ...]],
     announced: tuple[Entry, ...],
@@ -51,9 +49,9 @@ def test_a_node_keeps_what_it_may_have_and_each_refusal_is_told(
             kept.append(entry)
         else:
             verb = "publish" if entry.kind == "publisher" else "serve"
-            refusals.append(f"node wants to {verb} {entry.topic}, which is {' or '.join(owners)}'s: refused")
-    sifted, told = record.sifted(grants, proven)
-    assert (sifted.entries, told) == (tuple(kept), refusals)
+            refusals.append(f"node may not {verb} {entry.topic}, which belongs to {' or '.join(owners)}: rejected")
+    sifted, reported = record.sifted(grants, proven)
+    assert (sifted.entries, reported) == (tuple(kept), refusals)
     assert (sifted is record) == (not refusals)
 
 
@@ -67,7 +65,7 @@ def test_grants_are_the_same_through_the_network_file(
     assert grants.daemon == DAEMON
     assert [grants.owner_of(key) for key in (*KEYS.values(), "")] == [*NAMES, MEMBER]
     named = {name for owners in (*publishers.values(), *servers.values()) for name in owners}
-    assert Charter(Path(), publishers, servers).owners == (DAEMON, *sorted(named - {DAEMON}))
+    assert AccessPolicy(Path(), publishers, servers).owners == (DAEMON, *sorted(named - {DAEMON}))
 
 
 def test_without_owners_everything_is_everybodys() -> None:

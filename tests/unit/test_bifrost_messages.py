@@ -1,6 +1,4 @@
-"""What is encoded is decoded the same, and nothing else is decoded at all."""
-
-from __future__ import annotations
+"""Encoding and decoding are inverse, and other bytes are rejected."""
 
 import json
 import math
@@ -13,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import bifrost
-from bifrost.messages import ArrayKind, Message
+from bifrost.messages import ArrayKind, Message, Schema
 from bifrost.reflection import field_types, schema_of, type_from_schema
-from bifrost.schema import Schema
 from harness.examples import examples
+
+pytestmark = pytest.mark.portable
 
 
 class Inner(bifrost.Message):
@@ -99,10 +98,10 @@ def _finite(value: Any) -> Any:
 @given(everythings)
 def test_json_and_back(message: Everything) -> None:
     text = json.dumps(bifrost.to_builtins(message), allow_nan=False)
-    back = bifrost.from_builtins(Everything, json.loads(text))
+    back = bifrost.from_json(Everything, text)
     expected = _finite(message)
     if expected.perhaps is not None and math.isnan(expected.perhaps):
-        expected.perhaps = None  # null says both
+        expected.perhaps = None  # null means both
     assert bifrost.to_builtins(back) == bifrost.to_builtins(expected)
 
 
@@ -111,7 +110,7 @@ def test_json_and_back(message: Everything) -> None:
 def test_noise_is_refused_by_one_kind_of_error(noise: bytes) -> None:
     try:
         decoded = CODEC.decode(noise)
-    except (ValueError, msgspec.DecodeError, RecursionError):
+    except (ValueError, RecursionError):
         return
     assert isinstance(decoded, Everything)
 
@@ -121,22 +120,14 @@ def test_a_message_cut_or_prolonged_is_refused(message: Everything, data: st.Dat
     encoded = CODEC.encode(message)
     cut = data.draw(st.integers(0, len(encoded) - 1))
     for wrong in (encoded[:cut], encoded + b"\0"):
-        with pytest.raises((ValueError, msgspec.DecodeError)):
+        with pytest.raises(ValueError):
             CODEC.decode(wrong)
 
 
-@pytest.mark.parametrize("length", [1, 7, 9, 15])
-def test_bytes_that_are_no_whole_number_of_doubles_are_refused(length: int) -> None:
-    encoded = bytes([0x92, 0xC4, length]) + bytes(length) + b"\xa0"
-    with pytest.raises((ValueError, msgspec.DecodeError)):
-        bifrost.codec(Inner).decode(encoded)
-
-
-def test_an_array_that_is_no_bytes_is_refused() -> None:
-    values: tuple[object, ...] = ([1.0, 2.0], "text", 5, None, {})
-    for value in values:
-        with pytest.raises((ValueError, msgspec.DecodeError)):
-            bifrost.codec(Inner).decode(msgspec.msgpack.encode([value, "name"]))
+@pytest.mark.parametrize("value", [bytes(1), bytes(9), [1.0, 2.0], "text", 5, None, {}])
+def test_an_array_that_is_not_bytes_of_complete_elements_is_rejected(value: object) -> None:
+    with pytest.raises(ValueError):
+        bifrost.codec(Inner).decode(msgspec.msgpack.encode([value, "name"]))
 
 
 @pytest.mark.parametrize(
@@ -172,14 +163,6 @@ class Counted(bifrost.Message):
     maybe: int | None
 
 
-@pytest.mark.parametrize("value", [-(2**63), -1, 0, 2**63 - 1])
-def test_integers_of_64_bits_pass(value: int) -> None:
-    codec = bifrost.codec(Counted)
-    message = Counted(value, [value], value)
-    assert codec.decode(codec.encode(message)) == message
-    assert bifrost.from_builtins(Counted, bifrost.to_builtins(message)) == message
-
-
 @pytest.mark.parametrize("value", [2**63, 2**64 - 1])
 @pytest.mark.parametrize("field", ["one", "many", "maybe"])
 def test_integers_beyond_64_signed_bits_are_neither_sent_nor_taken(value: int, field: str) -> None:
@@ -193,8 +176,8 @@ def test_integers_beyond_64_signed_bits_are_neither_sent_nor_taken(value: int, f
     made = bifrost.codec(type_from_schema(codec.schema))
     with pytest.raises(msgspec.ValidationError):
         made.decode(msgspec.msgpack.encode(list(fields.values())))
-    with pytest.raises(bifrost.SchemaError, match="integer of 64 bits"):
-        bifrost.from_builtins(Counted, fields)
+    with pytest.raises(bifrost.SchemaError, match=rf"Counted: .*{field}"):
+        bifrost.from_json(Counted, json.dumps(fields))
 
 
 def test_arrays_that_are_not_contiguous_are_sent_in_order() -> None:
@@ -216,7 +199,8 @@ def test_an_array_is_known_by_its_mark_alone() -> None:
     codec = bifrost.codec(Marked)
     assert [text for _, text in codec.schema.types["Marked"]] == ["float64[]", "uint8[]", "list<uint8[]>", "float64[]?"]
     message = Marked(np.arange(3.0), np.arange(8, dtype=np.uint8), [np.zeros(16, np.uint8)], np.ones(1))
-    for again in (codec.decode(codec.encode(message)), bifrost.from_builtins(Marked, bifrost.to_builtins(message))):
+    text = json.dumps(bifrost.to_builtins(message))
+    for again in (codec.decode(codec.encode(message)), bifrost.from_json(Marked, text)):
         assert again == message
         assert again.maybe is not None
         assert again.reals.dtype == again.maybe.dtype == np.float64
@@ -241,32 +225,14 @@ def _type(name: str, *fields: tuple[str, Any]) -> type[Message]:
     return msgspec.defstruct(name, fields, bases=(Message,), array_like=True, gc=False, eq=False)  # type: ignore[return-value]
 
 
-def test_the_hash_differs_when_anything_does() -> None:
-    types = [
-        _type("A", ("x", float), ("y", float)),
-        _type("B", ("x", float), ("y", float)),
-        _type("A", ("y", float), ("x", float)),
-        _type("A", ("x", float), ("z", float)),
-        _type("A", ("x", float), ("y", int)),
-        _type("A", ("x", float)),
-        _type("A", ("x", float), ("y", list[float])),
-        _type("A", ("x", float), ("y", float | None)),
-        _type("A", ("x", float), ("y", _type("I", ("a", int)))),
-        _type("A", ("x", float), ("y", _type("I", ("a", float)))),
-        _type("A", ("x", float), ("y", bifrost.Float64Array)),
-        _type("A", ("x", float), ("y", bifrost.Uint8Array)),
-    ]
-    assert len({schema_of(each).digest() for each in types}) == len(types)
-
-
-def test_the_hash_is_what_the_documentation_says() -> None:
+def test_the_hash_is_what_the_documentation_states() -> None:
     """Fixed for ever: another implementation computes it from the text."""
     schema = schema_of(_type("Temperature", ("celsius", float), ("history", bifrost.Float64Array)))
     assert schema == Schema("Temperature", {"Temperature": [["celsius", "float"], ["history", "float64[]"]]})
     assert schema.digest().hex() == "3d922996398d4d0a"
 
 
-def test_the_bytes_are_what_the_documentation_says() -> None:
+def test_the_bytes_are_what_the_documentation_states() -> None:
     """Fixed for ever, likewise: every type of field in turn."""
     message = Everything(
         -2,
@@ -293,7 +259,7 @@ def test_the_bytes_are_what_the_documentation_says() -> None:
 @pytest.mark.parametrize("field", [dict, set, "np", tuple[int, ...], int | str, complex])
 def test_a_type_that_no_message_can_have_is_named(field: Any) -> None:
     wrong = _type("Wrong", ("field", np.ndarray if field == "np" else field))
-    with pytest.raises(TypeError, match=r"Wrong\.field: .* is no type of a message field"):
+    with pytest.raises(TypeError, match=r"Wrong\.field: .* is not supported in a message"):
         bifrost.codec(wrong)
 
 
@@ -315,23 +281,22 @@ def test_a_schema_that_is_not_well_formed_is_refused(schema: Schema) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fields", "message"),
+    ("text", "message"),
     [
-        ({"values": [1.0]}, r"Inner\.name is missing"),
-        ({"values": [1.0], "name": "", "x": 1}, r"Inner has no field 'x'; it has values, name"),
-        ({"values": 1.0, "name": ""}, r"Inner\.values: expected a list of float64 numbers, got 1\.0"),
-        ({"values": [[1.0]], "name": ""}, r"Inner\.values: expected a list"),
-        ({"values": ["x"], "name": ""}, r"Inner\.values: expected a list"),
-        ({"values": [], "name": 3}, r"Inner\.name: expected str, got 3"),
-        ([1], r"Inner: expected an object with the fields values, name"),
+        ('{"values": [1.0]}', "Inner: Object missing required field `name`; expected an object of values, name"),
+        ('{"values": [1.0], "name": "", "x": 1}', "Inner: .* unknown field `x`"),
+        ('{"values": 1.0, "name": ""}', r"got `float` - at `\$\.values`"),
+        ('{"values": [[1.0]], "name": ""}', r"got `array` - at `\$\.values\[0\]`"),
+        ('{"values": [], "name": 3}', r"got `int` - at `\$\.name`"),
+        ("[1]", "Expected `object`, got `array`"),
+        ("{", "truncated"),
     ],
 )
-def test_json_that_is_not_the_message_is_named(fields: object, message: str) -> None:
+def test_json_that_is_not_the_message_is_named(text: str, message: str) -> None:
     with pytest.raises(bifrost.SchemaError, match=message):
-        bifrost.from_builtins(Inner, fields)
+        bifrost.from_json(Inner, text)
 
 
-@pytest.mark.parametrize("value", [-(2**63) - 1, -(2**64), 2**63])
-def test_json_with_integers_beyond_64_signed_bits_is_refused(value: int) -> None:
-    with pytest.raises(bifrost.SchemaError, match=rf"one: expected an integer of 64 bits, got {value}"):
-        bifrost.from_builtins(Counted, {"one": value, "many": [], "maybe": None})
+def test_json_with_elements_that_do_not_fit_is_rejected() -> None:
+    with pytest.raises(bifrost.SchemaError, match="Marked"):
+        bifrost.from_json(Marked, '{"reals": [], "octets": [300], "many": [], "maybe": null}')

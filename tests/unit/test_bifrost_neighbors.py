@@ -1,12 +1,9 @@
-"""The index of who is there, by topic, against a look at everything."""
-
-from __future__ import annotations
+"""The index of nodes by topic, against a search of all records."""
 
 from functools import partial
-from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
@@ -47,7 +44,7 @@ class Model(RuleBasedStateMachine):
         self.present: dict[int, tuple[d.Entry, ...]] = {}
         self.departed: dict[int, tuple[tuple[d.Entry, ...], bool]] = {}
         self.own: list[d.Entry] = []
-        self.told = dict.fromkeys(_KEYS, 0)
+        self.reported = dict.fromkeys(_KEYS, 0)
         self.seen: dict[tuple[d.Kind, str], tuple[tuple[Peer, ...], int]] = dict.fromkeys(_KEYS, ((), 0))
         self.watches: dict[tuple[d.Kind, str], Watch] = {}
         for kind, topic in _KEYS:
@@ -55,7 +52,7 @@ class Model(RuleBasedStateMachine):
             self.neighbors.watch(self.watches[kind, topic])
 
     def _tell(self, key: tuple[d.Kind, str]) -> None:
-        self.told[key] += 1
+        self.reported[key] += 1
 
     @rule(incarnation=_INCARNATIONS, entries=_ENTRIES)
     def put(self, incarnation: int, entries: tuple[d.Entry, ...]) -> None:
@@ -123,36 +120,11 @@ class Model(RuleBasedStateMachine):
                 for peer in watch.peers
             ]
             assert order == sorted(order)
-            # Its owner is told when, and only when, there is something new to see.
-            before, told = self.seen[kind, topic]
-            assert (self.told[kind, topic] > told) == (watch.peers != before)
-            self.seen[kind, topic] = (watch.peers, self.told[kind, topic])
+            # Its owner is notified when, and only when, there is something new to see.
+            before, reported = self.seen[kind, topic]
+            assert (self.reported[kind, topic] > reported) == (watch.peers != before)
+            self.seen[kind, topic] = (watch.peers, self.reported[kind, topic])
 
 
 TestNeighbors = Model.TestCase
 TestNeighbors.settings = settings(examples(60), stateful_step_count=25)
-
-
-@given(st.integers(2, 300))
-@examples(10)
-def test_of_a_node_with_many_topics_only_those_that_change_are_looked_at(number: int) -> None:
-    def entry(i: int, endpoint: str = "tcp://1") -> d.Entry:
-        return d.Entry("publisher", f"topic_{i}", ("T",), ("00",), endpoint)
-
-    neighbors, looked = Neighbors(HERE), list[int]()
-    neighbors.put(_record(1, tuple(entry(i) for i in range(number))))
-    for i in range(number):
-        neighbors.watch(Watch("publisher", f"topic_{i}", partial(looked.append, i)))
-    neighbors.refresh()
-    neighbors.put(_record(1, tuple(entry(i, "tcp://2" if i == number // 2 else "tcp://1") for i in range(number))))
-    with pytest.MonkeyPatch.context() as patch:
-        peers, counted = neighbors._peers, list[tuple[d.Kind, str]]()
-
-        def counting(*key: Any) -> tuple[Peer, ...]:
-            counted.append(key)
-            return peers(*key)
-
-        patch.setattr(neighbors, "_peers", counting)
-        neighbors.refresh()
-    assert looked == [number // 2]
-    assert counted == [("publisher", f"topic_{number // 2}")]

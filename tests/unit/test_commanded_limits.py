@@ -1,7 +1,5 @@
 """What the Valor ROS Controller accepts, the Motion Manager's limiter follows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,11 +14,10 @@ from valor.robot.description import RobotDescription
 from valor.robot.limiter import Limiter
 from valor.valor_ros_controller.controllers.configuration import ControllersTable, Settings
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
+from valor.valor_ros_controller.controllers.trajectory_goal import TrajectoryOutcome, TrajectoryRequest
 from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
-from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.waypoints import Point
+from valor.valor_ros_controller.trajectory.waypoints import ErrorCode, InvalidTrajectoryError, Point
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ARM = "right_arm_traj_controller"
@@ -36,9 +33,9 @@ CONTROLLERS = [
 class Client:
     """Keeps what became of its goal."""
 
-    outcome: Outcome | None = None
+    outcome: TrajectoryOutcome | None = None
 
-    def finish(self, outcome: Outcome) -> None:
+    def finish(self, outcome: TrajectoryOutcome) -> None:
         self.outcome = outcome
 
     def feedback(self, hw: object) -> None: ...
@@ -81,7 +78,7 @@ def test_what_a_joint_can_do_and_may_not_be_commanded_is_refused_before_it_moves
     manipulating.run(4)
     assert client.outcome is not None
     assert client.outcome.code is ErrorCode.INVALID_GOAL
-    assert "r_shoulder_pitch would move at 2.05 rad/s" in client.outcome.text
+    assert "r_shoulder_pitch would move at 2.04 rad/s" in client.outcome.text
     assert f"its limit is {controller.limits.velocity[joint]:g} rad/s" in client.outcome.text
     assert np.array_equal(controller.position, before)
 
@@ -135,11 +132,11 @@ def test_what_is_accepted_is_followed_to_within_the_path_tolerance(robot: str, n
     hw, config = INTERFACES[robot], CONFIGS[name]
     limits = hw.limits(hw.group_indices(config.groups))
     start, points = data.draw(journeys(limits))
-    tolerance = Settings.of(config, len(start)).path.position
+    tolerance = Settings.of(config.parameters(limits.names), limits.names).path.position
     still, now = np.zeros_like(start), 1_000_000_000
     try:
         waypoints = check_waypoints(limits.names, points, limits)
-        trajectory = begin(waypoints, 0, now, np.array((start, still, still)), limits, error=tolerance)
+        trajectory = begin(waypoints, 0, now, np.array((start, still, still)), limits, since=now, error=tolerance)
     except InvalidTrajectoryError:
         return
     worst = Follower(limits, start).worst_error(trajectory, now, round(1e9 * hw.robot.control_period))
@@ -151,7 +148,8 @@ def test_to_and_fro_at_the_greatest_speed_is_followed_to_within_the_path_toleran
     """The worst that may be: velocity turns round whenever the limiter is about to have caught up."""
     hw, config = INTERFACES[robot], CONFIGS[name]
     everything = hw.limits(hw.group_indices(config.groups))
-    tolerance, period = Settings.of(config, len(everything.names)).path.position, hw.robot.control_period
+    tolerance = Settings.of(config.parameters(everything.names), everything.names).path.position
+    period = hw.robot.control_period
     limits = CommandedLimits(
         everything.names, everything.units, np.full(len(tolerance), -np.inf), np.full(len(tolerance), np.inf),
         everything.velocity, everything.acceleration, everything.effort,

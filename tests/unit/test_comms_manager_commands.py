@@ -1,7 +1,5 @@
 """Which Motor the devices obey: each whole or not at all; and who has the joints once none comes any more."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,10 +13,9 @@ from harness.still_robot import PERIOD, ROBOT, N, Robot
 from valor.common.behaviors import REFLEX, Reaction
 from valor.common.messages import JointMode, Motor
 from valor.common.topics import MOTOR
+from valor.comms_manager.command_arbiter import BehaviorLatch, CommandArbiter
 from valor.comms_manager.commands import ABSENCE, AT_ONCE, COMMAND_TIMEOUT, MISSES_TO_SILENCE, Commands
-from valor.comms_manager.latch import BehaviorLatch
-from valor.comms_manager.leader import Leader
-from valor.valorctl.ros_domain import daemon_ports
+from valor.valorctl.instance.ros_domain import daemon_ports
 from valor.whole_body.reflex import BalanceReflex
 
 FIRST = 1000  # state that the world begins with
@@ -31,7 +28,6 @@ LIMP = {"mode": np.full(N, JointMode.FORCE, dtype=np.uint8), "stiffness": np.zer
 
 
 def motor(answers: int, **changes: Any) -> Motor:
-    """A sound one."""
     made = Motor(
         time=0, sequence=1, proprioceptor_sequence=answers, mode=np.full(N, JointMode.IMPEDANCE, dtype=np.uint8),
         position=ROBOT.nominal_posture, velocity=np.zeros(N), effort=np.zeros(N), stiffness=np.ones(N),
@@ -49,14 +45,14 @@ def net(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator[B
 
 
 class Devices:
-    """What the Comms Manager has of them: a state each period; and a Motion Manager that says what the test wants."""
+    """What the Comms Manager has of them: a state each period; and a Motion Manager that sends what the test wants."""
 
     def __init__(self, net: BifrostNetwork, reflex: BalanceReflex, file: Path) -> None:
         self._speaker, self._listener = net.node("motion_manager"), net.node("comms_manager")
         self._publisher = MOTOR.publisher(self._speaker)
         subscriber = MOTOR.subscriber(self._listener, queue=AT_ONCE)
         self.latch = BehaviorLatch(file, 1)
-        self.commands = Commands(subscriber, ROBOT, Leader(reflex, self.latch))
+        self.commands = Commands(subscriber, ROBOT, CommandArbiter(reflex, self.latch))
         self._robot = STANDING
         self.sequence = FIRST - 1
         self._subscriber = subscriber
@@ -67,31 +63,28 @@ class Devices:
         return self._subscriber.receive(timeout=SOON) is not None
 
     def measure(self, periods: int = 1, demand: Reaction = Reaction.KEEP_BALANCE, **changes: Any) -> None:
-        """So many periods later the devices say that the robot stands."""
         self.sequence += periods
         self._robot.time, self._robot.sequence = self.sequence * PERIOD, self.sequence
         self.commands.measured(self._robot.proprioceptor(**changes), demand)
 
     def say(self, **changes: Any) -> None:
-        """A Motor is published, which answers the newest state if not said otherwise."""
         self._publisher.publish(motor(**{"answers": self.sequence} | changes))
 
     def hear(self, **changes: Any) -> bool:
         """The same, and it is taken in; whether it is in force now."""
         commands = self.commands
-        admitted, before = commands.leader.admitted, commands.leader.admitted + commands.refused
+        admitted, before = commands.arbiter.admitted, commands.arbiter.admitted + commands.rejected
         self.say(**changes)
 
         def considered() -> bool:
             commands.take()
-            return commands.leader.admitted + commands.refused > before
+            return commands.arbiter.admitted + commands.rejected > before
 
         until(considered, "a Motor is considered")
-        assert commands.leader.admitted + commands.refused == before + 1
-        return commands.leader.admitted > admitted
+        assert commands.arbiter.admitted + commands.rejected == before + 1
+        return commands.arbiter.admitted > admitted
 
     def leave(self) -> None:
-        """The Motion Manager is gone, and that is known."""
         self._speaker.close()
 
         def nobody() -> bool:
@@ -101,7 +94,6 @@ class Devices:
         until(nobody, "nobody publishes Motor")
 
     def close(self) -> None:
-        """End it all."""
         self._speaker.close()
         self._listener.close()
         self.latch.close()
@@ -134,28 +126,28 @@ UNSOUND = {
     "mode": (broken("mode", max(JointMode) + 1), "unknown mode"),
     "stiffness is negative": (broken("stiffness", -1e-9), "negative gain"),
     "damping is negative": (broken("damping", -1e-9), "negative gain"),
-    "of no state yet": ({"answers": FIRST + 1}, "answers no state of this world"),
-    "of the world before": ({"answers": FIRST - 1}, "answers no state of this world"),
+    "of no state yet": ({"answers": FIRST + 1}, "answers no state of this run"),
+    "of the world before": ({"answers": FIRST - 1}, "answers no state of this run"),
     "of an older Motion Manager": ({"writer": 4}, "of an older Motion Manager"),
 }
 
 
-def test_an_unsound_motor_is_refused_whole_and_each_kind_is_told_once(
+def test_an_unsound_motor_is_rejected_completely_and_each_kind_is_reported_once(
     devices: Devices, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert devices.hear(behavior="walk")
-    commands, obeyed = devices.commands, devices.commands.leader.motor
+    commands, obeyed = devices.commands, devices.commands.arbiter.motor
     for refused, (name, (changes, _)) in enumerate(UNSOUND.items(), 1):
         assert not devices.hear(**({"behavior": "freeze"} | changes)), name
-        assert (commands.leader.motor, commands.leader.admitted, commands.refused) == (obeyed, 1, refused), name
+        assert (commands.arbiter.motor, commands.arbiter.admitted, commands.rejected) == (obeyed, 1, refused), name
         assert devices.latch.behavior == "walk"
-    told = [record.getMessage() for record in caplog.records]
+    reported = [record.getMessage() for record in caplog.records]
     kinds = {reason for _, reason in UNSOUND.values()}
-    assert all(sum(f"Motor from motion_manager refused: {kind}" in line for line in told) == 1 for kind in kinds)
-    assert len(told) == len(kinds)
+    assert all(sum(f"Motor from motion_manager rejected: {kind}" in line for line in reported) == 1 for kind in kinds)
+    assert len(reported) == len(kinds)
 
 
-def test_what_keeps_all_rules_to_the_edge_is_obeyed(devices: Devices) -> None:
+def test_what_keeps_all_rules_to_the_edge_is_executed(devices: Devices) -> None:
     modes = np.full(N, JointMode.OFF, dtype=np.uint8)
     modes[:4] = list(JointMode)
     assert devices.hear(mode=modes, stiffness=np.zeros(N), damping=np.zeros(N))
@@ -180,13 +172,6 @@ def test_an_answer_may_be_so_old_and_never_older_than_the_one_before(devices: De
     assert commands.answered
 
 
-def test_before_the_first_state_nothing_is_obeyed(net: BifrostNetwork, reflex: BalanceReflex, tmp_path: Path) -> None:
-    devices = Devices(net, reflex, tmp_path / "behavior.json")
-    assert not devices.hear(answers=0)
-    assert devices.commands.leader.motor is None
-    devices.close()
-
-
 def test_before_the_first_motor_nothing_is_silent(devices: Devices) -> None:
     commands = devices.commands
     devices.measure(2 * OLDEST)
@@ -194,49 +179,50 @@ def test_before_the_first_motor_nothing_is_silent(devices: Devices) -> None:
     devices.leave()
     devices.measure(2 * ABSENCE)
     assert not commands.wait(SOON)
-    assert (commands.leader.abandoned, commands.leader.silent, commands.answered, commands.waits_timed_out) == (
+    assert (commands.arbiter.abandoned, commands.arbiter.silent, commands.answered, commands.waits_timed_out) == (
         False,
     ) * 3 + (0,)
 
 
 @pytest.mark.parametrize(("said", "limp"), [({}, False), (LIMP, True)], ids=["led", "limp"])
-def test_who_says_nothing_for_a_time_is_silent_until_the_next_word(
+def test_who_sends_nothing_for_a_time_is_silent_until_the_next_word(
     devices: Devices, said: dict[str, Any], limp: bool
 ) -> None:
     commands = devices.commands
     assert devices.hear(**said)
     devices.measure(OLDEST)
-    assert not commands.leader.silent
+    assert not commands.arbiter.silent
     devices.measure()
-    assert (commands.leader.abandoned, commands.leader.silent, commands.leader.limp) == (True, True, limp)
+    assert (commands.arbiter.abandoned, commands.arbiter.silent, commands.arbiter.limp) == (True, True, limp)
     assert not devices.hear(stiffness=-np.ones(N))
-    assert commands.leader.silent
+    assert commands.arbiter.silent
     assert devices.hear()
-    assert (commands.leader.abandoned, commands.leader.silent, commands.leader.limp) == (False, False, False)
+    assert (commands.arbiter.abandoned, commands.arbiter.silent, commands.arbiter.limp) == (False, False, False)
     devices.measure(OLDEST)
-    assert not commands.leader.silent, "the time counts from the last that was obeyed"
+    assert not commands.arbiter.silent, "the time counts from the last that was obeyed"
     devices.measure()
-    assert commands.leader.silent
+    assert commands.arbiter.silent
 
 
-def test_who_is_gone_is_not_waited_for(devices: Devices) -> None:
+def test_no_motor_is_accepted_before_the_first_state(
+    net: BifrostNetwork, reflex: BalanceReflex, tmp_path: Path
+) -> None:
+    devices = Devices(net, reflex, tmp_path / "behavior.json")
+    assert not devices.hear(answers=0)
+    assert devices.commands.arbiter.motor is None
+    devices.close()
+
+
+def test_an_absent_motion_manager_is_not_waited_for(devices: Devices) -> None:
     commands = devices.commands
+    devices.say(behavior=REFLEX)
     assert devices.hear()
+    assert (commands.arbiter.admitted, commands.rejected) == (1, 0), "a Motor of the reflex is ignored"
     devices.leave()
     devices.measure(ABSENCE)
-    assert not commands.leader.silent, "it may have been the last of many, and more wait"
+    assert not commands.arbiter.silent, "it may have been the last of many, and more wait"
     devices.measure()
-    assert commands.leader.silent
-
-
-def test_a_wait_for_one_who_is_gone_ends_at_once(devices: Devices) -> None:
-    commands = devices.commands
-    assert devices.hear()
-    devices.leave()
-    devices.measure()
-    assert not commands.wait(3600.0)
-    assert commands.leader.silent
-    assert commands.waits_timed_out == 0
+    assert commands.arbiter.silent
 
 
 def test_a_wait_ends_with_the_answer_and_misses_in_a_row_are_silence(
@@ -252,92 +238,61 @@ def test_a_wait_ends_with_the_answer_and_misses_in_a_row_are_silence(
     assert commands.wait(SOON, age=MISSES_TO_SILENCE - 1), "one that old will do"
     for _ in range(MISSES_TO_SILENCE - 1):
         assert not commands.wait(SOON)
-    assert not commands.leader.silent, "not in a row"
+    assert not commands.arbiter.silent, "not in a row"
     for _ in range(3):
         assert not commands.wait(SOON)
-        assert commands.leader.silent
+        assert commands.arbiter.silent
     assert caplog.text.count("waits of") == 1, "it is told once"
     devices.say()
     assert commands.wait(LONG)
     assert not commands.wait(SOON, age=-1)
-    assert not commands.leader.silent
+    assert not commands.arbiter.silent
 
 
 def test_who_listens_takes_what_is_there_and_counts_no_miss(devices: Devices) -> None:
     commands = devices.commands
     devices.say()
     commands.listen(LONG)
-    assert commands.leader.admitted == 1
+    assert commands.arbiter.admitted == 1
     for _ in range(2 * MISSES_TO_SILENCE):
         commands.listen(SOON)
-    assert (commands.leader.admitted, commands.waits_timed_out, commands.leader.silent) == (1, 0, False)
+    assert (commands.arbiter.admitted, commands.waits_timed_out, commands.arbiter.silent) == (1, 0, False)
     for _ in range(3):
         devices.say()
 
     def taken() -> bool:
         commands.listen(0.0)
-        return commands.leader.admitted == 4
+        return commands.arbiter.admitted == 4
 
     until(taken, "all are taken, without waiting")
     assert commands.drops == 0
-
-
-def test_a_motor_of_the_reflex_is_nobodys_word(devices: Devices) -> None:
-    devices.say(behavior=REFLEX)
-    assert devices.hear()
-    assert (devices.commands.leader.admitted, devices.commands.refused) == (1, 0)
 
 
 def test_a_robot_left_walking_is_led_until_it_stands(devices: Devices, caplog: pytest.LogCaptureFixture) -> None:
     commands = devices.commands
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
-    assert commands.leader.abandoned
-    assert not commands.leader.silent
+    assert commands.arbiter.abandoned
+    assert not commands.arbiter.silent
     assert commands.answered
-    admitted = commands.leader.admitted
+    admitted = commands.arbiter.admitted
     devices.say(behavior="stand")  # by one that should stand aside
-    while not commands.leader.silent:
-        assert commands.leader.motor is not None
-        assert commands.leader.motor.behavior == REFLEX
+    while not commands.arbiter.silent:
+        assert commands.arbiter.motor is not None
+        assert commands.arbiter.motor.behavior == REFLEX
         devices.measure()
         admitted += 1
-        assert (commands.leader.admitted, commands.answered) == (admitted, True)
-    assert not commands.leader.limp
-    assert commands.refused == 0
+        assert (commands.arbiter.admitted, commands.answered) == (admitted, True)
+    assert not commands.arbiter.limp
+    assert commands.rejected == 0
     assert devices.latch.behavior == "walk"
-    assert "the robot, left in walk, is brought to stand" in caplog.text
+    assert "in walk, the balance reflex brings the robot to stand" in caplog.text
     assert "the balance reflex has ended: it stands" in caplog.text
     assert "the balance reflex has ended: the joints are held" in caplog.text
     devices.measure()
-    assert commands.leader.admitted == admitted, "nor is anything made any more"
+    assert commands.arbiter.admitted == admitted, "nor is anything made any more"
     assert devices.hear()
-    assert not commands.leader.silent
-
-
-def test_what_the_reflex_lets_go_stays_limp_and_is_kept(devices: Devices) -> None:
-    commands = devices.commands
-    assert devices.hear(behavior="walk")
-    devices.measure(OLDEST + 1)
-    devices.measure(demand=Reaction.LIMP)
-    assert (commands.leader.silent, commands.leader.limp) == (True, True)
-    assert commands.leader.motor is not None
-    assert commands.leader.motor.behavior == devices.latch.behavior == "fall"
-
-
-def test_one_who_lets_the_robot_go_is_heard_while_the_reflex_leads(
-    devices: Devices, caplog: pytest.LogCaptureFixture
-) -> None:
-    commands = devices.commands
-    assert devices.hear(behavior="walk")
-    devices.measure(OLDEST + 1)
-    assert not commands.leader.silent
-    assert devices.hear(behavior="fall", **LIMP)
-    assert "Motor from motion_manager lets the robot go" in caplog.text
-    devices.measure()
-    assert commands.leader.motor is not None
-    assert commands.leader.motor.behavior == devices.latch.behavior == "fall"
-    assert (commands.leader.abandoned, commands.leader.silent) == (False, False)
+    assert not commands.arbiter.silent
 
 
 def test_an_error_of_the_reflex_leaves_the_joints_held(
@@ -346,8 +301,8 @@ def test_an_error_of_the_reflex_leaves_the_joints_held(
     commands = devices.commands
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
-    led = commands.leader.motor
+    led = commands.arbiter.motor
     monkeypatch.setattr(reflex, "_controller", None)
     devices.measure()
     assert "error in the balance reflex" in caplog.text
-    assert (commands.leader.silent, commands.leader.limp, commands.leader.motor) == (True, False, led)
+    assert (commands.arbiter.silent, commands.arbiter.limp, commands.arbiter.motor) == (True, False, led)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
@@ -14,44 +12,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
+from harness.device_bench import StillDevice
 from harness.places import ROBOTS
-from valor.common.behaviors import Behavior, Reaction
-from valor.common.instance import Instance, Settings
+from valor.common.behaviors import BEHAVIOR_TRANSITIONS, Behavior, Reaction
 from valor.common.messages import DeviceStatus
 from valor.comms_manager.hardware.condition import level as _level
-from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, Fault, ImuMeasurement, Part, UnitRecord
-from valor.comms_manager.hardware.faults import REACTIONS
-from valor.comms_manager.hardware.watch import DISAGREEMENT, LOOKS_TO_SILENCE, UNREAD_AFTER, DeviceWatch
+from valor.comms_manager.hardware.device import Fault, ImuMeasurement, Part, UnitFault
+from valor.comms_manager.hardware.watch import DISAGREEMENT, LOOKS_TO_SILENCE, REACTIONS, UNREAD_AFTER, DeviceWatch
 from valor.devices.kvh import Kvh1750
-from valor.motion_manager.safety.device_reactions import DEMANDS, DeviceReactions
-from valor.motion_manager.states.behavior_fsm import BehaviorFsm
-from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.safety import DEMANDS, DeviceReactions
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 PERIOD = 4_000_000  # [ns]
 
 
-class Units(Device):
-    """A device of robot.yaml whose units say what a test has them say."""
-
-    def __init__(self, name: str, units: tuple[str, ...], robot: RobotDescription = ROBOT) -> None:
-        settings = Settings(robot=robot.folder, ros_domain_id=1)
-        super().__init__(name, DeviceContext(Instance("x", Path()), settings, robot))
-        self.records = tuple(UnitRecord(unit) for unit in units)
-
-    def find(self) -> None:
-        raise NotImplementedError
-
-    def run(self, stopping: Event) -> None:
-        raise NotImplementedError
-
-
 class Bench:
     """A watch over legs of three units, which all speak every period unless they are among the mute."""
 
     def __init__(self) -> None:
-        self.legs = Units("legs", ("1", "2", "3"))
+        self.legs = StillDevice("legs", ROBOT)
+        self.legs.records = self.legs.records[:3]
         self.legs.rate = 250.0
         self.watch = DeviceWatch([self.legs])
         self.now = 10_000_000_000
@@ -87,50 +69,37 @@ def test_a_unit_is_silent_after_its_time_and_no_longer_when_it_speaks() -> None:
     bench.run(1.0)
     assert bench.watch.reaction is Reaction.KEEP_BALANCE
     bench.run(bench.legs.silent_after - 0.01, mute=("2",))
-    assert not bench.watch.troubles
+    assert not bench.watch.reactions
     bench.run(0.02, mute=("2",))
-    (trouble,) = bench.watch.troubles
-    assert (trouble.unit, trouble.fault, trouble.reaction) == ("legs/2", Fault.SILENT, Reaction.HOLD)
+    (each,) = bench.watch.reactions
+    assert (each.unit, each.fault, each.reaction) == ("legs/2", Fault.SILENT, Reaction.HOLD)
     report = bench.watch.report(bench.now)
     assert (report.reaction, report.states) == ("hold", ["ok", "silent", "ok"])
-    assert report.reason.startswith("legs/2: no sound state")
+    assert report.reason.startswith("legs/2: no valid state")
     bench.run(0.02)
-    assert not bench.watch.troubles
+    assert not bench.watch.reactions
     assert bench.watch.report(bench.now).reason == ""
 
 
-def test_a_computer_that_does_not_listen_is_no_silent_unit() -> None:
-    bench = Bench()
+def test_states_that_the_computer_has_not_read_are_overdue_then_unread() -> None:
+    bench, imus = Bench(), Imus()
     bench.run(1.0)
     bench.run(UNREAD_AFTER - 0.01, deaf=True)
-    assert {(each.fault, each.reaction) for each in bench.watch.troubles} == {(Fault.OVERDUE, Reaction.KEEP_BALANCE)}
+    assert {(each.fault, each.reaction) for each in bench.watch.reactions} == {(Fault.OVERDUE, Reaction.KEEP_BALANCE)}
     report = bench.watch.report(bench.now)
-    assert report.states == ["overdue"] * 3 and "the computer has not read it" in report.reason
+    assert report.states == ["overdue"] * 3 and "the computer has not read its port" in report.reason
     bench.run(0.004)
-    assert not bench.watch.troubles, "what had come meanwhile is read"
-
-
-def test_a_computer_that_does_not_listen_for_long_has_the_joints_held() -> None:
-    bench = Bench()
-    bench.run(1.0)
+    assert not bench.watch.reactions
     bench.run(UNREAD_AFTER + 0.01, deaf=True)
-    assert {(each.fault, each.reaction) for each in bench.watch.troubles} == {(Fault.UNREAD, Reaction.HOLD)}
+    assert {(each.fault, each.reaction) for each in bench.watch.reactions} == {(Fault.UNREAD, Reaction.HOLD)}
     assert bench.watch.report(bench.now).states == ["unread"] * 3
-
-
-def test_a_unit_is_silent_only_if_it_was_listened_to_in_vain() -> None:
-    bench = Bench()
-    bench.run(1.0)
-    bench.run(UNREAD_AFTER, deaf=True)
-    bench.run(0.004 * (LOOKS_TO_SILENCE - 1), mute=("2",))
-    assert not bench.watch.troubles, "it may not have had its turn either"
-    bench.run(0.004, mute=("2",))
-    (trouble,) = bench.watch.troubles
-    assert (trouble.unit, trouble.fault) == ("legs/2", Fault.SILENT)
+    imus.run(1.0)
+    report = imus.run(UNREAD_AFTER + 0.01, deaf=True)
+    assert imus.watch.primary is imus.imu and report.reaction == "hold"
 
 
 @given(st.lists(st.sampled_from(["speaks", "mute", "deaf"]), min_size=1, max_size=120))
-def test_what_was_not_listened_to_is_held_against_nobody(periods: list[str]) -> None:
+def test_what_was_not_listened_to_is_held_against_no_one(periods: list[str]) -> None:
     """Only a unit that was listened to in vain is silent; and one that was, for long enough, is."""
     bench = Bench()
     bench.run(0.1)
@@ -138,7 +107,7 @@ def test_what_was_not_listened_to_is_held_against_nobody(periods: list[str]) -> 
     for period in periods:
         bench.run(0.004, mute=("2",) if period == "mute" else (), deaf=period == "deaf")
         mute = mute + 1 if period == "mute" else 0 if period == "speaks" else mute
-        told = {each.unit for each in bench.watch.troubles if each.fault is Fault.SILENT}
+        told = {each.unit for each in bench.watch.reactions if each.fault is Fault.SILENT}
         assert told <= {"legs/2"} and (mute >= LOOKS_TO_SILENCE or not told)
         assert mute * 0.004 <= bench.legs.silent_after or told
 
@@ -148,50 +117,30 @@ def test_a_slow_unit_brings_the_robot_to_rest() -> None:
     bench.run(3.5)
     assert bench.watch.reaction is Reaction.KEEP_BALANCE
     bench.run(3.5, every=10)
-    (trouble,) = bench.watch.troubles
-    assert (trouble.unit, trouble.fault, trouble.reaction) == ("legs/1", Fault.SLOW, Reaction.SOFT_STOP)
-
-
-def test_a_unit_that_was_silent_is_not_slow_besides() -> None:
+    (each,) = bench.watch.reactions
+    assert (each.unit, each.fault, each.reaction) == ("legs/1", Fault.SLOW, Reaction.SOFT_STOP)
     bench = Bench()
     bench.run(3.04)
     bench.run(0.9, mute=("2",))
     bench.run(0.004)
     for _ in range(20):
         bench.run(0.1)
-        assert not bench.watch.troubles
-
-
-def test_reports_come_every_second_and_on_change() -> None:
-    bench = Bench()
-    bench.run(2.0)
-    assert bench.run(4.0) == 4
-    bench.legs.tell([Ailment("3", Fault.WARM, "90 °C")])
-    assert bench.run(0.004) == 1
-    assert bench.watch.reason == "legs/3: 90 °C"
-    assert bench.watch.reaction is Reaction.SOFT_STOP
+        assert not bench.watch.reactions, "a unit that was silent is not also slow"
 
 
 def test_legs_without_power_go_limp_only_when_several_are() -> None:
     bench = Bench()
-    bench.run(0.1)
-    bench.legs.tell([Ailment("1", Fault.DISABLED, "off")])
+    bench.run(2.0)
+    assert bench.run(4.0) == 4, "a report every second"
+    bench.legs.report_faults([UnitFault("3", Fault.WARM, "90 °C")])
+    assert bench.run(0.004) == 1, "and on change"
+    assert (bench.watch.reason, bench.watch.reaction) == ("legs/3: 90 °C", Reaction.SOFT_STOP)
+    bench.legs.report_faults([UnitFault("1", Fault.DISABLED, "off")])
     bench.run(0.01)
     assert bench.watch.reaction is Reaction.HOLD
-    bench.legs.tell([Ailment("1", Fault.DISABLED, "off"), Ailment("2", Fault.DISABLED, "off")])
+    bench.legs.report_faults([UnitFault("1", Fault.DISABLED, "off"), UnitFault("2", Fault.DISABLED, "off")])
     bench.run(0.01)
     assert bench.watch.reaction is Reaction.LIMP
-
-
-@given(st.lists(st.tuples(st.sampled_from(["1", "2", "3"]), st.sampled_from(list(Fault))), max_size=6))
-def test_the_gravest_fault_decides(ailments: list[tuple[str, Fault]]) -> None:
-    bench = Bench()
-    bench.run(0.01)
-    bench.legs.tell([Ailment(unit, fault, "x") for unit, fault in ailments])
-    bench.run(0.004)
-    gravest = max((REACTIONS[fault][Part.LEGS].severity for _, fault in ailments), default=0)
-    assert bench.watch.reaction.severity >= gravest
-    assert bool(bench.watch.reason) is bool(ailments)
 
 
 @given(st.lists(st.floats(0.0, 120.0, allow_nan=False), min_size=1, max_size=30))
@@ -211,7 +160,6 @@ def status(reaction: str) -> DeviceStatus:
 
 
 def arrive(fsm: BehaviorFsm, target: Behavior) -> None:
-    """By the shortest way of the tables."""
     ways: list[list[Behavior]] = [[Behavior.IDLE]]
     while ways[0][-1] is not target:
         way = ways.pop(0)
@@ -227,7 +175,7 @@ def test_the_motion_manager_gets_where_the_devices_demand(start: Behavior, react
     arrive(fsm, start)
     stepping = [True]
     reactions = DeviceReactions(fsm, lambda: stepping[0])
-    reactions.hear(status(reaction))
+    reactions.receive(status(reaction))
     reactions.update()
     if reaction == "keep_balance":
         assert fsm.behavior is start
@@ -253,25 +201,22 @@ def test_the_motion_manager_gets_where_the_devices_demand(start: Behavior, react
     assert fsm.behavior is expected
     if fsm.behavior is not start:
         assert fsm.reason == "legs/1: x"
-    reactions.hear(status("keep_balance"))
+    reactions.receive(status("keep_balance"))
     reactions.update()
     assert fsm.behavior is expected, "it never leads back by itself"
 
 
 class Imus:
-    """A watch over two IMUs, the first of which leads."""
-
     def __init__(self) -> None:
         tables = ROBOT.tables.devices
         devices = {"imu": tables["imu"], "kvh": Kvh1750(serial="1", rate=250)}
         robot = RobotDescription(ROBOT.folder, structs.replace(ROBOT.tables, devices=devices))
-        self.imu, self.kvh = Units("imu", ("imu",), robot), Units("kvh", ("kvh",), robot)
+        self.imu, self.kvh = StillDevice("imu", robot), StillDevice("kvh", robot)
         self.imu.rate = self.kvh.rate = 250.0
         self.watch = DeviceWatch([self.imu, self.kvh])
         self.now = 10_000_000_000
 
-    def run(self, seconds: float, mute: Sequence[Units] = (), deaf: bool = False) -> DeviceStatus:
-        """Let time pass, and report."""
+    def run(self, seconds: float, mute: Sequence[StillDevice] = (), deaf: bool = False) -> DeviceStatus:
         for _ in range(round(seconds * 1e9) // PERIOD):
             self.now += PERIOD
             for device in (self.imu, self.kvh):
@@ -285,16 +230,16 @@ class Imus:
 def test_the_first_imu_leads_and_is_followed_by_the_next_when_it_is_silent() -> None:
     imus = Imus()
     report = imus.run(1.0)
-    assert imus.watch.leader is imus.imu
-    assert (report.states, report.details) == (["ok", "ok"], ["leads", "stands by"])
+    assert imus.watch.primary is imus.imu
+    assert (report.states, report.details) == (["ok", "ok"], ["primary", "stand-by"])
     report = imus.run(0.11, mute=[imus.imu])
-    assert imus.watch.leader is imus.kvh, "as soon as silence is told"
+    assert imus.watch.primary is imus.kvh, "as soon as silence is told"
     assert (report.reaction, report.states) == ("keep_balance", ["silent", "ok"])
-    assert report.details == ["no sound state for 0.1 s (kvh leads)", "leads"]
-    assert report.reason == "imu: no sound state for 0.1 s (kvh leads)"
+    assert report.details == ["no valid state for 0.1 s (kvh is primary)", "primary"]
+    assert report.reason == "imu: no valid state for 0.1 s (kvh is primary)"
     report = imus.run(0.5)
-    assert imus.watch.leader is imus.kvh, "who is well again stands by"
-    assert (report.states, report.details, report.reason) == (["ok", "ok"], ["stands by", "leads"], "")
+    assert imus.watch.primary is imus.kvh, "a recovered IMU is stand-by"
+    assert (report.states, report.details, report.reason) == (["ok", "ok"], ["stand-by", "primary"], "")
 
 
 def test_imus_that_all_fail_have_the_joints_held() -> None:
@@ -302,28 +247,21 @@ def test_imus_that_all_fail_have_the_joints_held() -> None:
     imus.run(1.0)
     report = imus.run(0.2, mute=[imus.imu, imus.kvh])
     assert (report.reaction, report.states) == ("hold", ["silent", "silent"])
-    assert imus.watch.leader is imus.imu, "as none is better off"
-    assert report.reason == "imu: no sound state for 0.1 s"
+    assert imus.watch.primary is imus.imu, "as none is better off"
+    assert report.reason == "imu: no valid state for 0.1 s"
     report = imus.run(0.05, mute=[imus.imu])
-    assert imus.watch.leader is imus.kvh and report.reaction == "keep_balance"
+    assert imus.watch.primary is imus.kvh and report.reaction == "keep_balance"
 
 
 def test_an_imu_that_says_that_it_is_ill_leads_no_more() -> None:
     imus = Imus()
     imus.run(1.0)
-    imus.imu.tell([Ailment("imu", Fault.FAULTY, "its filter is in state 3")])
+    imus.imu.report_faults([UnitFault("imu", Fault.FAULTY, "its filter is in state 3")])
     report = imus.run(0.004)
-    assert imus.watch.leader is imus.kvh and report.reaction == "keep_balance"
-    imus.kvh.tell([Ailment("kvh", Fault.WARM, "71 °C")])
+    assert imus.watch.primary is imus.kvh and report.reaction == "keep_balance"
+    imus.kvh.report_faults([UnitFault("kvh", Fault.WARM, "71 °C")])
     report = imus.run(0.004)
-    assert imus.watch.leader is imus.kvh and report.reaction == "soft_stop", "better than one that must be held"
-
-
-def test_a_computer_that_does_not_listen_changes_no_leader() -> None:
-    imus = Imus()
-    imus.run(1.0)
-    report = imus.run(UNREAD_AFTER + 0.01, deaf=True)
-    assert imus.watch.leader is imus.imu and report.reaction == "hold"
+    assert imus.watch.primary is imus.kvh and report.reaction == "soft_stop", "better than one that must be held"
 
 
 def test_an_imu_whose_tilt_is_another_one_does_not_take_over() -> None:
@@ -339,10 +277,10 @@ def test_an_imu_whose_tilt_is_another_one_does_not_take_over() -> None:
     imus.kvh.attitude = tilted(0.1 + 1.2 * DISAGREEMENT)
     report = imus.run(0.15)
     assert (report.reaction, report.states) == ("keep_balance", ["ok", "faulty"])
-    assert report.details[1] == "its tilt is 0.06 rad off that of imu; expected up to 0.05 rad (imu leads)"
+    assert report.details[1] == "its tilt is 0.06 rad off that of imu; expected up to 0.05 rad (imu is primary)"
     report = imus.run(0.2, mute=[imus.imu])
-    assert imus.watch.leader is imus.imu and report.reaction == "hold"
+    assert imus.watch.primary is imus.imu and report.reaction == "hold"
     imus.kvh.attitude = tilted(0.1)
     assert imus.run(0.15).states == ["ok", "ok"]
     imus.run(0.2, mute=[imus.imu])
-    assert imus.watch.leader is imus.kvh
+    assert imus.watch.primary is imus.kvh

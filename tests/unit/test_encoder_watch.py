@@ -9,7 +9,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from harness.examples import examples
-from valor.comms_manager.hardware.encoder_watch import DOUBTS_TO_FAULT, SMALLEST, EncoderWatch
+from valor.comms_manager.hardware.dynamixel_servo import DOUBTS_TO_FAULT, SMALLEST, EncoderWatch
 
 LIMIT = 6.0  # [rad/s]
 CYCLE = 0.02  # [s]
@@ -40,7 +40,7 @@ def answers(velocities: np.ndarray, jitter: np.ndarray | None = None, lag: float
 
 def hear(told: Answers) -> tuple[EncoderWatch, list[bool]]:
     watch = EncoderWatch(LIMIT)
-    return watch, [watch.believes(*answer) for answer in told]
+    return watch, [watch.is_plausible(*answer) for answer in told]
 
 
 still = np.zeros(CALM)
@@ -63,7 +63,7 @@ def test_a_knock_is_no_jump(changes: list[float], jitter: list[float]) -> None:
 @examples(60)
 @example(speed=15.0, decay=0.5, count=3, side=1.0, lag=0.75)
 @given(st.floats(8.0, 30.0), st.floats(0.5, 0.9), st.integers(3, 8), st.sampled_from([1.0, -1.0]), st.floats(0.0, 0.9))
-def test_a_knock_whose_velocity_is_told_late_is_no_jump(
+def test_a_knock_whose_velocity_is_reported_late_is_no_jump(
     speed: float, decay: float, count: int, side: float, lag: float
 ) -> None:
     """Set going at once, slowed down by friction; a servo filters what it says of its velocity."""
@@ -121,7 +121,7 @@ def test_a_jump_is_one_whatever_the_joint_does_meanwhile(
 
 @examples(20)
 @given(st.floats(0.4, 3.0), st.sampled_from([1.0, -1.0]))
-def test_a_glitch_is_not_believed_and_forgotten(height: float, side: float) -> None:
+def test_a_glitch_is_not_accepted_and_forgotten(height: float, side: float) -> None:
     told = answers(np.zeros(2 * CALM))
     told[CALM] = (side * height, *told[CALM][1:])
     watch, believed = hear(told)
@@ -132,6 +132,6 @@ def test_a_glitch_is_not_believed_and_forgotten(height: float, side: float) -> N
 def test_after_a_pause_the_joint_may_be_anywhere() -> None:
     watch = EncoderWatch(LIMIT)
     told: Answers = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.5), (2.0, 0.0, 0.52)]
-    assert all(watch.believes(*answer) for answer in told)
-    watch.forget()
-    assert watch.believes(-1.0, 0.0, 0.54)
+    assert all(watch.is_plausible(*answer) for answer in told)
+    watch.reset()
+    assert watch.is_plausible(-1.0, 0.0, 0.54)

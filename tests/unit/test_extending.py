@@ -1,7 +1,5 @@
 """The changes of docs/extending.md, each applied to a copy of the tree, and what is said to be true then."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -13,7 +11,7 @@ import pytest
 
 from harness.places import REPOSITORY
 
-TREE = ("bifrost", "deploy", "harness", "robots", "services", "valor")
+TREE = ("bifrost", "deploy", "harness", "robots", "services", "thesis", "valor")
 CHANGES = {
     title: (diff, check)
     for title, diff, check in re.findall(

@@ -1,7 +1,5 @@
 """Films of recordings: what is seen in them, what they are refused for, and that none is left by half."""
 
-from __future__ import annotations
-
 import dataclasses
 import signal
 import subprocess
@@ -18,13 +16,12 @@ from harness import analysis_bag
 from harness.bag_file import type_store, write_bag
 from harness.places import ROBOTS
 from valor.analysis.film import film, moments
-from valor.analysis.film.cameras import CAMERAS, views
+from valor.analysis.film.frames import CAMERAS, views
 from valor.analysis.film.moments import TRUTH
 from valor.common.errors import ValorError
 from valor.common.poses import Pose
-from valor.drawing import ground_tiles, marks
+from valor.drawing import marks
 from valor.robot.description import RobotDescription
-from valor.simulation import worlds
 
 FOLDER = ROBOTS / "escher"
 ROBOT = RobotDescription.load(FOLDER)
@@ -39,9 +36,9 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def order(**changes: Any) -> film.Order:
+def order(**changes: Any) -> film.FilmOptions:
     """A small film of a robot that the bag does not name."""
-    return film.Order(**{"robot": FOLDER, "size": SIZE, "rate": 4.0, **changes})
+    return film.FilmOptions(**{"robot": FOLDER, "size": SIZE, "rate": 4.0, **changes})
 
 
 def pictures(file: Path) -> list[np.ndarray]:
@@ -50,15 +47,15 @@ def pictures(file: Path) -> list[np.ndarray]:
         return [frame.to_ndarray(format="rgb24").astype(int) for frame in opened.decode(video=0)]
 
 
-@pytest.mark.parametrize("suffix", [".mp4", ".gif", ".webp"])
+@pytest.mark.parametrize("suffix", [".mp4", ".webp"])
 def test_a_film_shows_that_the_arm_moved(bag: Path, tmp_path: Path, suffix: str) -> None:
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     made = film.make(
         bag, tmp_path / f"reach{suffix}", order(begin=1.0, end=3.0, overlays=("forces", "dcm", "modes")),
-        drawn=lambda done, whole: told.append((done, whole)),
+        drawn=lambda done, whole: reported.append((done, whole)),
     )  # fmt: skip
     assert (made.pictures, made.duration, made.base) == (9, 2.25, "the simulator's truth")
-    assert told == [(i + 1, 9) for i in range(9)]
+    assert reported == [(i + 1, 9) for i in range(9)]
     assert [path.name for path in tmp_path.iterdir()] == [made.file.name]
     if suffix == ".webp":  # libav writes what it does not read
         content = made.file.read_bytes()
@@ -79,7 +76,7 @@ def test_a_door_is_drawn_as_far_open_as_it_was(bag: Path, tmp_path: Path) -> Non
         for moment in found.known:
             moment[TRUTH] = dataclasses.replace(moment[TRUTH], fixture_position=np.array(leaf))
         file = tmp_path / f"{name}.mp4"
-        film.develop(found, film.Subject(FOLDER, ("door", 0)), file, wanted)
+        film.develop(found, FOLDER, ("door", 0), file, wanted)
         seen[name] = pictures(file)[-1]
     assert (np.abs(seen["open"] - seen["closed"]).max(axis=2) > 40).mean() > 0.02
     assert (seen["unknown"] == seen["closed"]).all()
@@ -90,8 +87,8 @@ def test_a_door_is_drawn_as_far_open_as_it_was(bag: Path, tmp_path: Path) -> Non
     [
         ({"camera": "beside"}, "camera 'beside': expected one of follow, front"),
         ({"overlays": ("force",)}, "did you mean 'forces'"),
-        ({"begin": 2.0, "end": 2.0}, "from 2 to 2 s: an empty span"),
-        ({"begin": -1.0}, "expected seconds after the recording's beginning"),
+        ({"begin": 2.0, "end": 2.0}, "from 2 to 2 s: expected an end after"),
+        ({"begin": -1.0}, "expected at least 0 s after the start"),
         ({"speed": 0.0}, "speed 0: expected"),
         ({"size": (161, 90)}, "size 161×90: expected even sides"),
         ({"rate": 0.0}, "expected 1 to 120"),
@@ -107,10 +104,10 @@ def test_a_bag_that_is_none_ends_early_or_names_no_robot(bag: Path, tmp_path: Pa
     text = tmp_path / "text.mcap"
     text.write_text("no bag")
     for path, wanted, file, complaint in (
-        (text, order(), "a.mp4", "neither MCAP nor SQLite"),
+        (text, order(), "a.mp4", "not MCAP"),
         (bag, order(begin=900.0), "a.mp4", "nothing after 900 s; the recording lasts"),
-        (bag, order(), "a.avi", "expected one of .mp4, .webp, .gif"),
-        (bag, order(robot=None), "a.mp4", "of a robot that it does not name; expected --robot"),
+        (bag, order(), "a.avi", "expected one of .mp4, .webp"),
+        (bag, order(robot=None), "a.mp4", "names no robot; expected --robot"),
         (bag, order(robot=ROBOTS / "thor"), "a.mp4", "joints; robot 'thor' has"),
     ):
         with pytest.raises(ValorError, match=complaint.replace(".", r"\.")):
@@ -118,27 +115,8 @@ def test_a_bag_that_is_none_ends_early_or_names_no_robot(bag: Path, tmp_path: Pa
     assert not (tmp_path / "out").exists()
 
 
-def test_a_film_given_up_leaves_nothing(bag: Path, tmp_path: Path) -> None:
-    def give_up(done: int, whole: int) -> None:
-        raise ValorError(f"enough after {done} of {whole}")
-
-    with pytest.raises(ValorError, match="enough after 1 of"):
-        film.make(bag, tmp_path / "reach.mp4", order(), drawn=give_up)
-    assert not list(tmp_path.iterdir())
-
-
 def test_ctrl_c_leaves_nothing(bag: Path, tmp_path: Path) -> None:
-    command = [
-        str(VALORCTL),
-        "video",
-        str(bag),
-        "--robot",
-        "escher",
-        "--fps",
-        "60",
-        "--out",
-        str(tmp_path / "long.mp4"),
-    ]
+    command = [str(VALORCTL), "video", str(bag), "--robot", "escher", "--fps", "60", "--out", f"{tmp_path}/long.mp4"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         assert run.stdout is not None
         assert "drawing" in run.stdout.readline()
@@ -175,7 +153,7 @@ def test_without_the_motion_system_ros_2s_own_topics_do(tmp_path: Path) -> None:
             )  # fmt: skip
 
     write_bag(path, store, rows())
-    made = film.make(path, tmp_path / "ros.gif", order(camera="fixed"))
+    made = film.make(path, tmp_path / "ros.mp4", order(camera="fixed"))
     assert (made.pictures, made.base) == (4, "the robot's estimate")
     found = moments.read(path, 0.5, None, 0.1, lambda seconds: None)
     assert found.times[0] == pytest.approx(7.5)
@@ -200,34 +178,8 @@ def test_forces_stand_where_they_act_and_support_spans_what_stands() -> None:
     np.testing.assert_allclose(arrow.end - arrow.start, (0.0, 0.0, 0.4), atol=1e-12)
     (both,) = marks.support(soles, (True, True), feet)
     (one,) = marks.support(soles, (True, False), feet)
-    assert isinstance(both, marks.Line)
-    assert isinstance(one, marks.Line)
+    assert isinstance(both, marks.Polyline)
+    assert isinstance(one, marks.Polyline)
     assert np.ptp(both.points[:, 1]) == pytest.approx(0.2 + feet.left.half_width + feet.right.half_width)
     assert np.ptp(one.points[:, 1]) == pytest.approx(2.0 * feet.left.half_width)
     assert marks.support(soles, (False, False), feet) == []
-
-
-def test_tiles_are_the_ground() -> None:
-    spec = worlds.load("dirt", 0)
-    ground_tiles.split(spec)
-    model = spec.compile()
-    x, y = np.array([2.02, 7.5, 30.0]), np.array([0.0, 1.0])
-    wanted = worlds.heights("dirt", 0, x, y)
-    ground_tiles.show(model, np.array([2.0, 0.0, 0.0]), 148.0)
-    drawn = [i for i in range(model.ngeom) if model.geom(i).name and model.geom_group[i] == 0]
-    assert 3 < len([i for i in drawn if model.geom(i).name.startswith("course/")]) < 16
-    for geom in range(model.ngeom):
-        name = model.geom(geom).name
-        if not name.startswith("course/") or name.endswith("/far"):
-            continue
-        field = int(model.geom_dataid[geom])
-        half, across, rise, _ = model.hfield_size[field]
-        begin = model.hfield_adr[field]
-        rows, columns = model.hfield_nrow[field], model.hfield_ncol[field]
-        heights = model.hfield_data[begin : begin + rows * columns].reshape(rows, columns) * rise
-        middle = model.geom_pos[geom]
-        for i, at in enumerate(x):
-            if abs(at - middle[0]) <= half:
-                column = round((at - middle[0] + half) / (2 * half) * (columns - 1))
-                row = round((y[1] + across) / (2 * across) * (rows - 1))
-                assert heights[row, column] + middle[2] == pytest.approx(wanted[1, i], abs=0.012)

@@ -1,6 +1,4 @@
-"""docs/interfaces.md says of every field of a step plan, its feedback and its result what becomes of it."""
-
-from __future__ import annotations
+"""docs/interfaces.md states of every field of a step plan, its feedback and its result what becomes of it."""
 
 import re
 

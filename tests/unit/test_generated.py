@@ -1,12 +1,11 @@
 """What is written out of the tables and messages is what they say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
-from valor.common.generate import PLACES, REPOSITORY, texts
+from harness.generate import PLACES, texts
+from harness.places import REPOSITORY
 
 WRITTEN = texts()
 

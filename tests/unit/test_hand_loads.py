@@ -1,6 +1,4 @@
-"""What a hand carries and what it presses on, and what the arm's servos are told of it."""
-
-from __future__ import annotations
+"""What a hand carries and what it presses on, and what the arm's servos receive of it."""
 
 import copy
 
@@ -54,7 +52,7 @@ def lifted_by(arm: str) -> FloatArray:
 
 
 def test_a_load_is_held_by_the_arm_that_carries_it_and_forgotten_when_it_is_put_down(standing: Robot) -> None:
-    parts = standing.manager.parts
+    parts = standing.manager.components
     standing.run(2.0, right_hand_wrench=in_hand(np.array((0.0, 0.0, -30.0))))
     assert parts.hand_loads.weights == pytest.approx([0.0, 30.0], abs=0.3)
     assert not parts.servos.load[LEFT].any()
@@ -66,14 +64,14 @@ def test_a_load_is_held_by_the_arm_that_carries_it_and_forgotten_when_it_is_put_
 
 def test_no_more_is_held_than_the_heaviest(standing: Robot) -> None:
     standing.run(2.0, right_hand_wrench=in_hand(np.array((0.0, 0.0, -500.0))))
-    assert standing.manager.parts.hand_loads.weights[1] == pytest.approx(HEAVIEST, rel=0.01)
+    assert standing.manager.components.hand_loads.weights[1] == pytest.approx(HEAVIEST, rel=0.01)
     standing.run(2.0)
 
 
 @pytest.mark.parametrize("force", [(-30.0, 0.0, 0.0), (0.0, 30.0, -10.0), (0.0, 0.0, 30.0)])
 def test_a_hand_that_presses_on_something_presses_no_more(standing: Robot, force: tuple[float, float, float]) -> None:
     """Both arms are off by the same: the one that is free goes on to make up for it, the other does not."""
-    servos = standing.manager.parts.servos
+    servos = standing.manager.components.servos
     off = ROBOT.nominal_posture.copy()
     off[servos.joints] -= 0.01
     wrench = in_hand(np.array(force))
@@ -82,14 +80,14 @@ def test_a_hand_that_presses_on_something_presses_no_more(standing: Robot, force
     standing.run(0.1, right_hand_wrench=wrench, joint_position=off)
     np.testing.assert_array_equal(servos.integral[RIGHT], before[RIGHT])
     assert (servos.integral[LEFT] > before[LEFT]).all()
-    assert not standing.manager.parts.hand_loads.weights[1]
+    assert not standing.manager.components.hand_loads.weights[1]
     standing.run(0.1)
     assert not servos.pressing.any()
 
 
 def test_what_pushes_a_hand_down_that_presses_in_vain_is_not_held_as_a_load(standing: Robot) -> None:
     """A spoke above it feels like a weight; held, it would jam the hand for good."""
-    parts = standing.manager.parts
+    parts = standing.manager.components
     standing.run(2.0, right_hand_wrench=in_hand(np.array((0.0, 0.0, -30.0))))
     assert parts.hand_loads.weights[1] > 20.0
     standing.run(0.3, right_hand_wrench=in_hand(np.array((-100.0, 0.0, -30.0))))
@@ -105,7 +103,7 @@ def test_a_goal_in_odom_moves_in_the_pelvis_frame_as_the_pelvis_does(
 ) -> None:
     """Its twist is what a moment changes of its pose."""
     place, velocity, turning = np.array(numbers).reshape(3, 3)
-    state, dt = copy.copy(standing.manager.parts.state), 1e-6
+    state, dt = copy.copy(standing.manager.components.state), 1e-6
     assert state is not None
     state.pelvis_linear_velocity_in_odom, state.pelvis_angular_velocity_in_pelvis = velocity, turning
     before, turn, twist = seen_from_pelvis(place, np.eye(3), state)

@@ -1,7 +1,5 @@
 """Hands get to whatever pose the joints' limits allow, also where the straight way ends in a corner of them."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np
@@ -9,8 +7,7 @@ import pytest
 
 from harness.closed_loop import load_robot
 from valor.common.arrays import FloatArray
-from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
-from valor.motion_manager.hands.led_arm import HandGoal
+from valor.motion_manager.hands.hand_goals import SIDES, HandGoal, HandGoals
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.robot.model import controller_model, full_model
 from valor.whole_body.state import RobotState
@@ -24,7 +21,7 @@ UNMOVED = cast("RobotState", None)  # goals in pelvis need no estimate
 
 
 class Arms:
-    """Led without a plant: joints are where they are told."""
+    """Led without a plant: joints are where they are commanded."""
 
     def __init__(self) -> None:
         self.reference = JointReference(ROBOT)
@@ -34,7 +31,7 @@ class Arms:
 
     def go(self, side: int, place: FloatArray, turn: FloatArray) -> str:
         """The state that a hand ends in."""
-        self.goals.lead(side, HandGoal(False, place, turn), self.now)
+        self.goals.start(side, HandGoal(False, place, turn), self.now)
         until = self.now + LONGEST
         while self.now < until and self.goals.status(side, 0).state == "moving":
             self.now += ROBOT.control_period
@@ -70,26 +67,3 @@ def test_hands_reach_the_poses_of_random_postures(side: int) -> None:
     arms = Arms()
     states = [arms.go(side, *pose) for pose in reachable(side)]
     assert states.count("reached") >= GOALS - 1, states
-
-
-def test_the_hand_is_where_mujoco_has_it_and_moves_as_the_search_says() -> None:
-    hand = ROBOT.tables.hands.right
-    assert hand is not None
-    arm = Arms().goals._arms[1].kinematics
-    for place, turn in reachable(1):
-        arm.stand(ROBOT.nominal_posture)
-        arm.place[:], arm.turn[:], arm.stuck[:] = place, turn, 0.0
-        best = np.inf
-        rng = np.random.default_rng(0)
-        for _ in range(30):
-            arm.position[:] = rng.uniform(ROBOT.lower[arm.joints], ROBOT.upper[arm.joints])
-            for _ in range(40):
-                arm.search()
-                arm.position[:] = arm.stepped
-            arm.look()
-            best = min(best, arm.errors.max())
-        assert best < 1e-4
-
-
-def test_a_pose_that_no_posture_has_is_told_to_be_out_of_reach() -> None:
-    assert Arms().go(1, np.array((1.5, -0.3, 0.2)), np.eye(3)) == "out_of_reach"

@@ -1,7 +1,5 @@
 """The simulated camera: what is seen is where the camera's frame and the pinhole's numbers say."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -15,12 +13,13 @@ from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.poses import Pose
 from valor.common.processes import HEAD_CAMERA
-from valor.drawing.posture import Posture
-from valor.head_camera import eye
+from valor.drawing import Posture
+from valor.drawing.scene import Scene
+from valor.head_camera import service as eye
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.simulation import worlds
-from valor.valorctl.instance_setup import Request, plan
+from valor.valorctl.instance.instance_setup import Request, plan
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 SEED = 3
@@ -56,16 +55,16 @@ def lever_in_world() -> Pose:
 
 
 @pytest.fixture(scope="module")
-def door() -> eye.Eye:
-    return eye.Eye(ESCHER, "door", SEED)
+def door() -> Scene:
+    return eye.view(ESCHER, "door", SEED)
 
 
 @pytest.mark.parametrize(("yaw", "pitch"), TURNS)
-def test_a_lever_is_seen_where_it_is(door: eye.Eye, yaw: float, pitch: float) -> None:
+def test_a_lever_is_seen_where_it_is(door: Scene, yaw: float, pitch: float) -> None:
     joints = ESCHER.nominal_posture.copy()
     joints[ESCHER.index["neck_yaw"]], joints[ESCHER.index["neck_pitch"]] = yaw, pitch
     standing = np.array([0.0, 0.0, ESCHER.tables.nominal_base_height])
-    image = door.see(Posture(0.0, "stand", standing, np.array([1.0, 0.0, 0.0, 0.0]), joints)).astype(int)
+    image = door.draw(Posture(0.0, "stand", standing, np.array([1.0, 0.0, 0.0, 0.0]), joints)).astype(int)
     assert image.shape == (eye.HEIGHT, eye.WIDTH, 3)
     seen = camera_in_world(ESCHER, joints).inverse() @ lever_in_world()
     column, row, depth = eye.intrinsics() @ seen.position
@@ -84,9 +83,9 @@ def test_it_looks_ahead_and_down_past_all_that_its_body_carries(name: str) -> No
     np.testing.assert_allclose(ahead, (math.cos(eye.DOWN), 0.0, -math.sin(eye.DOWN)), atol=1e-9)
     np.testing.assert_allclose(right, (0.0, -1.0, 0.0), atol=1e-9)
     assert down[2] < 0.0
-    seeing = eye.Eye(robot, "flat", 0)
+    seeing = eye.view(robot, "flat", 0)
     standing = np.array([0.0, 0.0, robot.tables.nominal_base_height])
-    image = seeing.see(Posture(0.0, "stand", standing, np.array([1.0, 0.0, 0.0, 0.0]), robot.nominal_posture))
+    image = seeing.draw(Posture(0.0, "stand", standing, np.array([1.0, 0.0, 0.0, 0.0]), robot.nominal_posture))
     seeing.close()
     # Grey ground across the lowest row, and none of the robot's colors.
     assert np.ptp(image[-1].astype(int), axis=1).max() < 30

@@ -1,7 +1,5 @@
 """Height fields as triangles: as MuJoCo has them, and coarser."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from harness.device_bench import UNSOUND, Bench, ailing, sound
+from harness.device_bench import UNSOUND, Bench, reported_fault, sound
 from harness.places import ROBOTS
 from harness.waiting import wait_until
-from valor.comms_manager.hardware.device import DeviceError, Fault
+from valor.comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
+from valor.comms_manager.hardware.microstrain import MicroStrain
 from valor.device_emulators.emulator import EmulatedFault
 from valor.devices.kvh import Kvh1750
 from valor.robot.description import RobotDescription
@@ -35,7 +39,7 @@ def bench(home: Path, request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize("fault", UNSOUND)
-def test_nothing_of_a_sick_sensor_is_believed_and_it_is_used_again_when_well(
+def test_nothing_of_a_sick_sensor_is_accepted_and_it_is_used_again_when_well(
     bench: Bench, fault: EmulatedFault
 ) -> None:
     with bench.running() as driver:
@@ -51,7 +55,7 @@ def test_nothing_of_a_sick_sensor_is_believed_and_it_is_used_again_when_well(
         sound(driver)
 
 
-def test_what_comes_twice_is_taken_once(bench: Bench) -> None:
+def test_what_comes_twice_is_accepted_once(bench: Bench) -> None:
     with bench.running() as driver:
         sound(driver)
         bench.inject(bench.device, EmulatedFault.DUPLICATE)
@@ -62,11 +66,11 @@ def test_what_comes_twice_is_taken_once(bench: Bench) -> None:
         assert abs((record.states - states) - (record.errors - errors)) <= 2
 
 
-def test_an_unplugged_sensor_is_told_of_and_found_again(bench: Bench) -> None:
+def test_an_unplugged_sensor_is_reported_and_found_again(bench: Bench) -> None:
     with bench.running() as driver:
         sound(driver)
         bench.inject(bench.device, EmulatedFault.UNPLUGGED)
-        assert "gone" in ailing(driver, bench.device, Fault.UNPLUGGED).detail
+        assert "gone" in reported_fault(driver, bench.device, Fault.UNPLUGGED).detail
         bench.heal()
         before = driver.attitude
         sound(driver)
@@ -84,7 +88,7 @@ def test_an_unplugged_sensor_is_told_of_and_found_again(bench: Bench) -> None:
     ],
     indirect=["bench"],
 )
-def test_another_sensor_is_refused(bench: Bench, table: dict[str, object], message: str) -> None:
+def test_another_sensor_is_rejected(bench: Bench, table: dict[str, object], message: str) -> None:
     driver = bench.driver(altered(bench.device, **table))
     with pytest.raises(DeviceError, match=message):
         driver.find()
@@ -102,10 +106,70 @@ def test_another_sensor_is_refused(bench: Bench, table: dict[str, object], messa
     ],
     indirect=["bench"],
 )
-def test_start_is_refused_without_a_sensor(bench: Bench, fault: EmulatedFault, message: str) -> None:
+def test_start_is_rejected_without_a_sensor(bench: Bench, fault: EmulatedFault, message: str) -> None:
     bench.inject(bench.device, fault)
     wait_until(lambda: fault is not EmulatedFault.UNPLUGGED or not list(bench.instance.ports.iterdir()), 5, "unplugged")
     driver = bench.driver()
     with pytest.raises(DeviceError, match=message):
         driver.find()
     driver.close()
+
+
+IMU = pytest.mark.parametrize("bench", ["imu"], indirect=True)
+
+
+@IMU
+def test_what_the_robot_feels_arrives(bench: Bench) -> None:
+    """Tilted, turning, standing still: the emulator turns it into the vendor's frames, the driver back."""
+    tilt = np.zeros(4)
+    mujoco.mju_euler2Quat(tilt, np.array([0.3, -0.2, 1.1]), "xyz")
+    with bench.lock:
+        plant = bench.robot.plant
+        plant.data.qpos[3:7] = tilt
+        plant.data.qvel[3:6] = (0.4, -0.3, 0.2)
+        mujoco.mj_forward(plant.model.mj, plant.data)
+        bench.robot._measured = None
+        felt = bench.robot.measured
+    with bench.running() as driver:
+        sound(driver)
+        measured = driver.attitude
+        assert isinstance(measured, ImuMeasurement)
+        assert abs(measured.orientation @ tilt) == pytest.approx(1.0, abs=1e-6)
+        np.testing.assert_allclose(measured.angular_velocity, felt.imu_angular_velocity, atol=1e-5)
+        np.testing.assert_allclose(measured.linear_acceleration, felt.imu_linear_acceleration, atol=1e-4)
+
+
+@IMU
+def test_what_lay_here_unread_is_not_the_sensors_delay(bench: Bench) -> None:
+    """A computer that does not come to read for a while finds all packets there, the newest of them fresh."""
+    driver = bench.driver()
+    driver.find()
+    record, looks = driver.records[0], driver.looks
+    before, errors = record.states, record.errors
+    time.sleep(0.15)  # the thread does not get its turn: that is the subject of this test
+    asked = time.monotonic_ns()
+    driver._listen(0.1)  # type: ignore[attr-defined]
+    assert record.states >= before + 5 and record.errors == errors
+    assert driver.looks == looks + 1
+    assert record.stamp > asked
+    driver.close()
+
+
+@IMU
+def test_what_came_while_other_devices_were_found_is_not_taken_for_late(bench: Bench) -> None:
+    driver, stopping = bench.driver(), threading.Event()
+    driver.find()
+    assert isinstance(driver, MicroStrain)
+    port = driver._port
+    assert port is not None
+    wait_until(lambda: port.in_waiting > 2000, 10, "twenty-five samples that nobody fetched")
+    thread = threading.Thread(target=driver.run, args=(stopping,))
+    thread.start()
+    try:
+        before = driver.records[0].states
+        wait_until(lambda: driver.records[0].states >= before + 10, 10, "ten samples")
+        assert driver.records[0].errors <= 1, "the one that was cut in two, at most"
+    finally:
+        stopping.set()
+        thread.join()
+        driver.close()

@@ -1,12 +1,12 @@
-"""Expressions evaluated in place are what NumPy makes of the same arrays."""
-
-from __future__ import annotations
+"""Kernels give the same results as NumPy."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
 from valor.common.kernel import Expression, Kernel, clipped
+
+pytestmark = pytest.mark.portable
 
 
 def test_arrays_are_read_and_written_as_they_lie() -> None:

@@ -1,7 +1,5 @@
 """The KVH 1750's driver and emulator on a pseudo-terminal; `test_imus.py` has what goes wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.device_bench import Bench, ailing, sound
+from harness.device_bench import Bench, reported_fault, sound
 from harness.waiting import wait_until
 from tests.unit.test_imus import altered
 from valor.comms_manager.hardware import kvh as driver_side
@@ -35,11 +33,8 @@ def newest(driver: Device) -> ImuMeasurement:
 
 @given(st.binary(max_size=64))
 def test_both_ends_sum_alike(data: bytes) -> None:
-    assert driver_side._is_sound(data + sensor_side.crc32(data).to_bytes(CRC_SIZE, "big"))
-
-
-def test_the_checksum_is_the_one_that_catalogues_call_mpeg_2() -> None:
-    assert sensor_side.crc32(b"123456789") == 0x0376E6E7
+    assert driver_side._is_valid(data + sensor_side.crc32(data).to_bytes(CRC_SIZE, "big"))
+    assert sensor_side.crc32(b"123456789") == 0x0376E6E7, "CRC-32/MPEG-2"
 
 
 def test_a_message_has_the_manuals_layout() -> None:
@@ -52,20 +47,8 @@ def test_a_message_has_the_manuals_layout() -> None:
     assert (first[29], second[29]) == (0, 1), "its count of messages"
 
 
-def test_a_sensor_that_is_configured_answers_lines_and_is_silent() -> None:
-    sensor = sensor_side.KvhSensor("1750-0042")
-    assert sensor.receive(b"?IS\r\n=DR,100\n") == [], "in normal mode it knows nothing of that"
-    assert sensor.receive(b"=conf") == []
-    assert sensor.receive(b"ig,1\r\n") == [b"CONFIG,1\r\n"]
-    assert not sensor.stream(1.0)
-    answers = sensor.receive(b"?IS\n=DR,100\n?DR\n=DR,3\n=NONSENSE\n")
-    expected = ["IS,1750-0042", "DR,100", "DR,100", "INVALID,=DR,3", "INVALID,=NONSENSE"]
-    assert answers == [f"{line}\r\n".encode() for line in expected]
-    assert sensor.receive(b"=CONFIG,0\n") == [] and sensor.stream(1.0)
-
-
 def test_what_the_robot_feels_arrives_and_becomes_an_attitude(bench: Bench) -> None:
-    """At rest it is tilted as gravity says; then it goes with its rates, but for its heading, which begins at 0."""
+    """At rest it is tilted as gravity requires; then it goes with its rates, but for its heading, which begins at 0."""
 
     def feel(roll: float, pitch: float, yaw: float, rate: tuple[float, float, float]) -> np.ndarray:
         pose = np.zeros(4)
@@ -96,8 +79,8 @@ def test_what_the_robot_feels_arrives_and_becomes_an_attitude(bench: Bench) -> N
         wait_until(lambda: turned() > 0.25, 10, "it has turned half a second or so")
 
 
-def test_a_sensor_that_is_too_warm_says_so(bench: Bench) -> None:
+def test_a_sensor_that_is_too_warm_reports_it(bench: Bench) -> None:
     with bench.running() as driver:
         sound(driver)
         bench.inject("kvh", EmulatedFault.OVER_TEMPERATURE)
-        assert ailing(driver, "kvh", Fault.HOT).detail == "90 °C; expected less than 75 °C"
+        assert reported_fault(driver, "kvh", Fault.HOT).detail == "90 °C; expected less than 75 °C"

@@ -1,7 +1,5 @@
 """Commands that were held back on their way are refused, and all others are not."""
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 
@@ -10,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.examples import examples
-from valor.ros.lateness import LATE, timely
+from valor.ros.lateness import LATE, reject_late
 
 SECOND = 10**9
 
 
 def passed(sent: int | None, received: int | None) -> bool:
-    """Whether a message gets through, as it is, with what is told of it."""
+    """Return whether a message gets through, as it is, with what is reported of it."""
     taken: list[tuple[Any, Any]] = []
     info = {"source_timestamp": sent, "received_timestamp": received}
-    timely("/a", lambda message, told: taken.append((message, told)), others=True)("go", info)
+    reject_late("/a", lambda message, reported: taken.append((message, reported)), others=True)("go", info)
     assert taken in ([], [("go", info)])
     return bool(taken)
 
@@ -36,17 +34,17 @@ def test_without_stamps_nothing_is_refused(sent: int | None, received: int | Non
     assert passed(sent, received)
 
 
-def test_refusals_are_told_once_in_a_while_with_topic_and_age(caplog: pytest.LogCaptureFixture) -> None:
-    refuse = timely("/cmd_vel", lambda message, told: None, others=True)
+def test_refusals_are_reported_once_in_a_while_with_topic_and_age(caplog: pytest.LogCaptureFixture) -> None:
+    refuse = reject_late("/cmd_vel", lambda message, reported: None, others=True)
     with caplog.at_level(logging.WARNING):
         for _ in range(100):
             refuse("go", {"source_timestamp": SECOND, "received_timestamp": 4 * SECOND})
     assert 1 <= len(caplog.messages) < 100
-    assert "/cmd_vel: refused: came 3.0 s after it was sent" in caplog.messages[0]
+    assert "/cmd_vel: rejected: received 3.0 s after it was sent" in caplog.messages[0]
 
 
 def test_on_one_computer_nothing_is_looked_at() -> None:
-    def obey(message: Any, told: Any) -> None:
+    def obey(message: Any, reported: Any) -> None:
         raise AssertionError
 
-    assert timely("/a", obey, others=False) is obey
+    assert reject_late("/a", obey, others=False) is obey

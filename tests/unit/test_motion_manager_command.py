@@ -1,7 +1,5 @@
 """What leaves for the motors: within the limits, finite, and without a jump from servos to balance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -125,14 +123,3 @@ def test_limp_is_damping_alone() -> None:
     np.testing.assert_array_equal(motor.position, np.clip(measured, ROBOT.lower, ROBOT.upper))
     np.testing.assert_array_equal(motor.damping, np.where(COMPLIANT, ROBOT.servo_damping, 0.0))
     assert not motor.velocity.any() and not motor.effort.any() and not motor.stiffness.any()
-
-
-def test_gains_are_those_of_impedance_joints_alone() -> None:
-    rng = np.random.default_rng(3)
-    command = MotorCommand(ROBOT)
-    stiffness, damping = rng.uniform(1.0, 2.0, N), rng.uniform(1.0, 2.0, N)
-    command.set_gains(stiffness, damping)
-    command.balance(whole_body(*wish(rng)), *wish(rng), 1.0)
-    motor = said(command)
-    np.testing.assert_array_equal(motor.stiffness, np.where(FORCE, 0.0, stiffness))
-    np.testing.assert_array_equal(motor.damping, np.where(FORCE, 0.0, damping))

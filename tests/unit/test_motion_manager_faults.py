@@ -1,7 +1,5 @@
 """Proprioceptors that make no sense, commands that are not finite, errors: each Proprioceptor gets its sound Motor."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -13,7 +11,7 @@ from hypothesis import strategies as st
 
 from bifrost import Received
 from harness.examples import examples
-from harness.still_robot import LIMIT, PERIOD, ROBOT, N, Robot
+from harness.still_robot import PERIOD, ROBOT, N, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import JointSetpoints
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
@@ -49,7 +47,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize("changes", BROKEN)
-def test_one_broken_proprioceptor_is_refused_and_survived(standing: Robot, changes: dict[str, Any]) -> None:
+def test_one_broken_proprioceptor_is_survived_but_several_are_a_fall(standing: Robot, changes: dict[str, Any]) -> None:
     before = standing.motor
     assert before is not None
     motor = standing.tick(**changes)
@@ -59,11 +57,6 @@ def test_one_broken_proprioceptor_is_refused_and_survived(standing: Robot, chang
     (rejection,) = standing.manager.rejections.take()
     assert next(iter(changes)) in rejection.reason
     standing.run(0.5)
-    assert standing.behavior is Behavior.STAND
-
-
-@pytest.mark.parametrize("changes", BROKEN)
-def test_broken_proprioceptors_in_a_row_are_a_fall(standing: Robot, changes: dict[str, Any]) -> None:
     for _ in range(round(FAULTY / ROBOT.control_period)):
         assert standing.behavior is Behavior.STAND
         motor = standing.tick(**changes)
@@ -72,27 +65,18 @@ def test_broken_proprioceptors_in_a_row_are_a_fall(standing: Robot, changes: dic
     assert not motor.effort.any()
 
 
-def test_numbers_whose_squares_are_finite_but_not_their_sum_are_refused(standing: Robot) -> None:
-    large = np.full(N, np.sqrt(1e308 / N))
-    standing.tick(joint_velocity=large, joint_effort=large)
-    (rejection,) = standing.manager.rejections.take()
-    assert "too large" in rejection.reason
-    standing.run(0.1)
-    assert standing.behavior is Behavior.STAND
-
-
 def test_a_robot_that_never_makes_sense_is_never_in_control(robot: Robot) -> None:
     for _ in range(50):
         motor = robot.tick(joint_position=np.full(N, np.nan))
     assert not motor.effort.any()
     assert robot.behavior is Behavior.IDLE
-    assert not robot.manager.custody.ours
+    assert not robot.manager.authority.in_control
 
 
 def interfere(robot: Robot, change: Callable[[WholeBodyCommand], WholeBodyCommand]) -> None:
     """Spoil what the Whole-Body Controller commands."""
-    update = robot.manager.parts.controller.update
-    robot.manager.parts.controller.update = lambda *arguments: change(update(*arguments))  # type: ignore[method-assign]
+    update = robot.manager.components.controller.update
+    robot.manager.components.controller.update = lambda *arguments: change(update(*arguments))  # type: ignore[method-assign]
 
 
 def test_a_command_that_is_not_finite_never_leaves(standing: Robot) -> None:
@@ -101,15 +85,7 @@ def test_a_command_that_is_not_finite_never_leaves(standing: Robot) -> None:
     interfere(standing, lambda command: replace(command, effort=np.full(N, np.nan)))
     motor = standing.tick()
     assert np.array_equal(motor.effort, before.effort)
-    assert standing.manager.parts.command.replaced == 1
-
-
-def test_efforts_beyond_the_limits_are_clamped_and_counted(standing: Robot) -> None:
-    interfere(standing, lambda command: replace(command, effort=np.full(N, 1e6)))
-    count = standing.manager.report(0.0).torque_saturations
-    motor = standing.tick()
-    assert motor.effort.max() <= LIMIT.max()
-    assert standing.manager.report(0.0).torque_saturations > count
+    assert standing.manager.components.command.replaced == 1
 
 
 def test_an_infeasible_qp_leads_to_soft_stop_and_not_at_once(standing: Robot) -> None:
@@ -142,16 +118,19 @@ def test_an_error_of_ours_repeats_the_last_command_and_then_falls(standing: Robo
 
 
 values = st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1.0, -3.0, 1e9, 1e300])
+numbers = st.one_of(st.floats(), st.floats(-1e3, 1e3), st.floats(-4.0, 4.0))  # any at all, absurd, and believable
+slips = st.tuples(st.sampled_from([*(next(iter(changes)) for changes in BROKEN)]), st.integers(0, N - 1), numbers)
 
 
-@examples(8)
+@examples(12)
 @given(st.data())
 @np.errstate(all="ignore")
 def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.DataObject) -> None:
-    robot = Robot()
+    """Also while it balances, and single sensors fail."""
+    robot = Robot().stand() if data.draw(st.booleans()) else Robot()
     robot.run(0.9)
     for _ in range(data.draw(st.integers(1, 12))):
-        event = data.draw(st.sampled_from(["ask", "broken", "gap", "anew", "setpoint", "nothing"]))
+        event = data.draw(st.sampled_from(["ask", "broken", "slips", "gap", "anew", "setpoint", "nothing"]))
         if event == "ask":
             robot.ask(data.draw(st.sampled_from(Behavior)))
         elif event == "broken":
@@ -159,6 +138,12 @@ def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.Data
             value = np.full(data.draw(st.sampled_from([N, 3, 4, 6, 0])), data.draw(values))
             for _ in range(data.draw(st.integers(1, 7))):
                 robot.tick(**dict[str, Any]({name: value}))
+        elif event == "slips":
+            sound, changes = robot.proprioceptor(), dict[str, Any]()
+            for name, place, number in data.draw(st.lists(slips, min_size=1, max_size=6)):
+                vector = changes.setdefault(name, getattr(sound, name).copy())
+                vector[place % len(vector)] = number
+            robot.tick(**changes)
         elif event == "gap":
             robot.tick(elapsed=PERIOD * data.draw(st.integers(1, 100)))
         elif event == "anew":
@@ -166,38 +151,8 @@ def test_whatever_happens_every_proprioceptor_gets_its_sound_motor(data: st.Data
         elif event == "setpoint":
             position = np.full(1, data.draw(values))
             message = JointSetpoints(robot.time, ["neck_yaw"], position, np.zeros(1), np.zeros(1))
-            JointSetpointsHandler.of(robot.manager.parts).handle(
+            JointSetpointsHandler(robot.manager.components).handle(
                 Received(message, 0, 1, "somebody"), robot.manager.time
             )
         robot.run(0.04)
-        assert robot.manager.custody.ours
-
-
-SAID = {
-    "joint_position": N, "joint_velocity": N, "joint_effort": N,
-    "imu_orientation": 4, "imu_angular_velocity": 3, "imu_linear_acceleration": 3,
-    "left_foot_wrench": 6, "right_foot_wrench": 6, "left_hand_wrench": 6, "right_hand_wrench": 6,
-}  # fmt: skip
-numbers = st.one_of(st.floats(), st.floats(-1e3, 1e3), st.floats(-4.0, 4.0))  # any at all, absurd, and believable
-slips = st.tuples(st.sampled_from(sorted(SAID)), st.integers(0, N - 1), numbers)
-
-
-@examples(8)
-@given(st.lists(st.lists(slips, min_size=1, max_size=6), min_size=1, max_size=8))
-@np.errstate(all="ignore")
-def test_whatever_single_sensors_say_while_it_balances_the_motors_are_sound(
-    periods: list[list[tuple[str, int, float]]],
-) -> None:
-    """Every Motor is checked by ``tick``: finite, torques within limits."""
-    robot = Robot()
-    robot.run(1.0)
-    assert not robot.ask(Behavior.STAND)
-    robot.run(0.4)
-    for period in periods:
-        sound, changes = robot.proprioceptor(), dict[str, Any]()
-        for name, place, number in period:
-            vector = changes.setdefault(name, getattr(sound, name).copy())
-            vector[place % SAID[name]] = number
-        robot.tick(**changes)
-    robot.run(0.1)
-    assert robot.behavior in (Behavior.STAND, Behavior.FALL, Behavior.SOFT_STOP)
+        assert robot.manager.authority.in_control

@@ -1,7 +1,5 @@
 """Getting up: what is refused, what gives up, and the way from the floor to Stand on the simulated robot."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from math import cos, radians, sin
 
@@ -49,13 +47,13 @@ class Lying:
     ],
 )
 def test_from_elsewhere_than_face_down_it_is_refused(state: Lying, words: str) -> None:
-    assert words in GetUp(ESCHER).refusal(state)  # type: ignore[arg-type]
-    assert GetUp(ESCHER).refusal(Lying(90.0)) == ""  # type: ignore[arg-type]
+    assert words in GetUp(ESCHER).rejection(state)  # type: ignore[arg-type]
+    assert GetUp(ESCHER).rejection(Lying(90.0)) == ""  # type: ignore[arg-type]
 
 
 def test_a_robot_without_a_table_refuses() -> None:
     thor = RobotDescription.load(ROBOTS / "thor")
-    assert "thor has no get_up.yaml" in GetUp(thor).refusal(Lying(90.0))  # type: ignore[arg-type]
+    assert "thor has no get_up.yaml" in GetUp(thor).rejection(Lying(90.0))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("pitch", "roll"), [(20.0, 0.0), (90.0, 45.0)])
@@ -140,5 +138,5 @@ def test_a_robot_that_sways_on_is_waited_for_and_given_up() -> None:
     while not get_up.failure and now < 60.0:
         now += 0.01
         get_up.update(Lying(90.0, rate=1.0), now)  # type: ignore[arg-type]
-    assert "after on all fours the pelvis still turns at 1.0 rad/s" in get_up.failure
+    assert "after on all fours the pelvis still rotates at 1.0 rad/s" in get_up.failure
     assert now == pytest.approx(reached + 2.0, abs=0.5)

@@ -1,15 +1,16 @@
 """Period by period: a Motor for every Proprioceptor, no jump of any joint's torque, and joints within their stops."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
-from harness.still_robot import LIMIT, ROBOT, N, Robot, tilted
-from valor.common.behaviors import Behavior
-from valor.common.messages import JointMode
+from bifrost import Received
+from harness.still_robot import LIMIT, PERIOD, ROBOT, N, Robot, tilted
+from valor.common.behaviors import REFLEX, Behavior
+from valor.common.messages import JointMode, VelocityCommand
+from valor.motion_manager.handlers.motion import VelocityHandler
+from valor.motion_manager.safety import RESUMED
 
 
 @pytest.fixture
@@ -28,7 +29,7 @@ def test_it_starts_idle_and_goes_to_stand_prep_with_the_first_proprioceptor(robo
     assert robot.manager.report(0.0).behavior == "idle"
     robot.tick()
     assert robot.behavior is Behavior.STAND_PREP
-    assert robot.manager.custody.ours
+    assert robot.manager.authority.in_control
 
 
 def test_a_repeated_proprioceptor_is_answered_and_nothing_else(robot: Robot) -> None:
@@ -70,20 +71,15 @@ def test_stand_is_refused_to_a_robot_that_cannot(robot: Robot, changes: dict[str
     assert robot.behavior is Behavior.STAND_PREP
 
 
-def test_stand_is_refused_until_stand_prep_has_finished(robot: Robot) -> None:
-    robot.tick()
-    assert "to go" in robot.ask(Behavior.STAND)
-
-
 def test_nobody_slips_through_stand_prep_between_two_periods(standing: Robot) -> None:
     assert not standing.ask(Behavior.FREEZE)
     assert not standing.ask(Behavior.STAND_PREP)
-    assert "just begun" in standing.ask(Behavior.STAND)
+    assert "just started" in standing.ask(Behavior.STAND)
     standing.tick()
     assert "to go" in standing.ask(Behavior.STAND)
 
 
-def test_operation_drives_each_joint_as_robot_yaml_says(standing: Robot) -> None:
+def test_operation_drives_each_joint_as_robot_yaml_states(standing: Robot) -> None:
     motor = standing.tick()
     expected = {"force": JointMode.FORCE, "impedance": JointMode.IMPEDANCE, "position": JointMode.POSITION}
     for i, joint in enumerate(ROBOT.tables.joints.values()):
@@ -157,3 +153,184 @@ def test_joints_found_beyond_their_stops_are_not_commanded_there(
     stops = getattr(ROBOT, stop)
     standing.ask(behavior)
     standing.run(0.01, joint_position=np.where(np.isfinite(stops), stops + further, 0.0))
+
+
+# A robot that lived without its Motion Manager for a while, in another world, or led by the reflex: held or let go.
+
+
+def test_a_world_begun_anew_is_a_fall(standing: Robot) -> None:
+    standing.time, standing.sequence = 0, standing.sequence + 1_000_000
+    motor = standing.tick()
+    assert standing.behavior is Behavior.FALL
+    assert "another world" in standing.manager.fsm.reason
+    assert not motor.effort.any()
+
+
+def test_a_robot_that_stood_without_us_for_a_while_is_held(standing: Robot) -> None:
+    standing.tick(elapsed=40 * PERIOD)
+    assert standing.behavior is Behavior.STAND
+    assert standing.manager.missed == 39
+    effort = np.where(np.arange(N) < 27, 0.1 * LIMIT, 0.0)
+    motor = standing.tick(elapsed=60 * PERIOD, joint_effort=effort)
+    assert standing.behavior is Behavior.FREEZE
+    assert "no Proprioceptor for 0.120 s of robot time" in standing.manager.fsm.reason
+    assert np.allclose(motor.position, ROBOT.nominal_posture) and np.allclose(standing.torque(), effort)
+    standing.run(0.1)
+    assert not standing.ask(Behavior.STAND_PREP)
+    standing.run(1.0)
+    assert not standing.ask(Behavior.STAND), "the way back"
+
+
+@pytest.mark.parametrize(
+    ("found", "why"),
+    [
+        ({"imu_orientation": tilted(0.5)}, "the pelvis is tilted"),
+        ({"left_foot_wrench": np.zeros(6), "right_foot_wrench": np.zeros(6)}, "foot carries 0 N"),
+    ],
+)
+def test_a_robot_that_is_found_lying_is_let_go(standing: Robot, found: dict[str, object], why: str) -> None:
+    motor = standing.tick(elapsed=60 * PERIOD, **found)
+    assert standing.behavior is Behavior.FALL
+    assert why in standing.manager.fsm.reason
+    assert not motor.effort.any()
+
+
+@pytest.fixture
+def stepping(standing: Robot) -> Robot:
+    assert not standing.ask(Behavior.WALK)
+    VelocityHandler(standing.manager.components).handle(
+        Received(VelocityCommand(standing.time, 0.2, 0.0, 0.0), 0, 1, "valor_ros_controller"), standing.time
+    )
+    for _ in range(1000):
+        standing.tick()
+        if standing.manager.components.conditions().stepping:
+            break
+    return standing
+
+
+@pytest.mark.parametrize(
+    ("speed", "found", "why"),
+    [(1.0, Behavior.FALL, "it was stepping, and moves"), (0.0, Behavior.FREEZE, "it stands, and is held")],
+)
+def test_a_robot_that_was_stepping_without_us_is_let_go_unless_it_has_come_to_rest(
+    stepping: Robot, speed: float, found: Behavior, why: str
+) -> None:
+    stepping.tick(elapsed=60 * PERIOD, joint_velocity=np.full(N, speed))
+    assert stepping.behavior is found
+    assert why in stepping.manager.fsm.reason
+
+
+def aside(robot: Robot, seconds: float = 0.1, **changes: Any) -> None:
+    """The Comms Manager's reflex has the robot."""
+    for _ in range(round(seconds / ROBOT.control_period)):
+        motor = robot.tick(motor_behavior=REFLEX, **changes)
+        assert motor.behavior == REFLEX
+    assert "the Comms Manager is bringing the robot to stand" in robot.ask(Behavior.STAND)
+    assert not robot.manager.authority.in_control
+
+
+def test_a_new_motion_manager_waits_for_the_reflex_and_holds_what_it_leaves() -> None:
+    robot = Robot()
+    aside(robot, left_foot_wrench=np.zeros(6))
+    assert robot.behavior is Behavior.SOFT_STOP
+    found = np.clip(ROBOT.nominal_posture + 0.1, ROBOT.lower, ROBOT.upper)
+    motor = robot.tick(motor_behavior="walk", joint_position=found)
+    assert robot.behavior is Behavior.FREEZE
+    assert np.array_equal(motor.position, found)
+    robot.run(0.1)
+    assert not robot.ask(Behavior.STAND_PREP)
+
+
+def test_one_that_walked_and_was_stopped_does_not_go_on_walking(stepping: Robot) -> None:
+    stepping.time += 100 * PERIOD
+    aside(stepping, left_foot_wrench=np.zeros(6))
+    assert stepping.behavior is Behavior.SOFT_STOP
+    stepping.run(0.1, motor_behavior="walk")
+    assert stepping.behavior is Behavior.FREEZE
+    assert "the Comms Manager brought the robot to stand" in stepping.manager.fsm.reason
+
+
+def test_what_the_reflex_leaves_on_one_foot_is_let_go(stepping: Robot) -> None:
+    aside(stepping)
+    stepping.run(0.1, motor_behavior="walk", left_foot_wrench=np.zeros(6))
+    assert stepping.behavior is Behavior.FALL
+
+
+def test_a_robot_that_was_let_go_stays_so_beside_the_reflex(standing: Robot) -> None:
+    assert not standing.ask(Behavior.FALL)
+    for _ in range(10):
+        assert standing.tick(motor_behavior=REFLEX).behavior == Behavior.FALL
+    standing.run(0.1, motor_behavior="fall")
+    assert standing.behavior is Behavior.FALL
+
+
+def test_in_stand_prep_a_new_world_is_held_as_it_is_found(robot: Robot) -> None:
+    robot.run(1.0)
+    robot.time = 0
+    found = np.clip(ROBOT.nominal_posture + 0.1, ROBOT.lower, ROBOT.upper)
+    motor = robot.tick(joint_position=found)
+    assert robot.behavior is Behavior.FREEZE
+    assert np.allclose(motor.position, found)
+    assert not robot.ask(Behavior.STAND_PREP)
+    assert "just started" in robot.ask(Behavior.STAND)
+
+
+# A Motion Manager that finds a robot which another one has led: it holds what it finds, and waits for a command.
+
+
+ARMS = [*ROBOT.group_indices("left_arm"), *ROBOT.group_indices("right_arm")]
+FOUND = ROBOT.nominal_posture.copy()  # but for the arms
+FOUND[ARMS] = np.clip(FOUND[ARMS] + 0.4, ROBOT.lower[ARMS], ROBOT.upper[ARMS])
+BALANCED = [behavior for behavior in Behavior if behavior.balancing]
+
+
+def begin(behavior: str, seconds: float = 0.2, **changes: Any) -> Robot:
+    """A new process' Motion Manager in its first periods with a robot that was left in a behavior."""
+    robot = Robot()
+    robot.run(seconds, motor_behavior=behavior, **changes)
+    return robot
+
+
+@pytest.mark.parametrize("behavior", [*Behavior, "of_a_later_version"])
+def test_no_joint_is_moved(behavior: str) -> None:
+    robot = begin(behavior, joint_position=FOUND)
+    expected = RESUMED.get(Behavior(behavior), Behavior.FREEZE) if behavior in list(Behavior) else Behavior.FREEZE
+    assert robot.behavior is expected
+    assert f"before, the robot was in {behavior}" in robot.manager.fsm.reason
+    motor = robot.motor
+    assert motor is not None and motor.behavior == expected
+    if expected is Behavior.FALL:
+        assert not motor.effort.any() and not motor.stiffness.any()
+        assert (motor.mode != JointMode.POSITION).all()
+    else:
+        assert np.array_equal(motor.position, FOUND)
+        assert not motor.velocity.any()
+
+
+@pytest.mark.parametrize("behavior", BALANCED)
+@pytest.mark.parametrize(
+    ("condition", "reason"),
+    [
+        ({"imu_orientation": tilted(0.9)}, "the pelvis is tilted"),
+        ({"left_foot_wrench": np.zeros(6)}, "the left foot carries 0 N"),
+    ],
+)
+def test_one_that_balanced_and_does_not_stand_any_more_is_let_go(
+    behavior: Behavior, condition: dict[str, Any], reason: str
+) -> None:
+    robot = begin(behavior, **condition)
+    assert robot.behavior is Behavior.FALL
+    assert reason in robot.manager.fsm.reason
+
+
+def test_a_frozen_one_is_held_however_it_lies() -> None:
+    assert begin(Behavior.FREEZE, imu_orientation=tilted(1.5)).behavior is Behavior.FREEZE
+
+
+@pytest.mark.parametrize("behavior", [*Behavior, "of_a_later_version"])
+def test_what_the_devices_say_later_of_the_behavior_changes_nothing_but_for_a_stop(behavior: str) -> None:
+    """It is the devices' memory, and was read when the robot was found; but somebody may have stopped it there."""
+    robot = begin("", 0.3)
+    robot.run(0.3, motor_behavior=behavior)
+    assert robot.behavior == (behavior if behavior in ("fall", "freeze") else Behavior.STAND_PREP)
+    assert behavior not in ("fall", "freeze") or f"at the Comms Manager: {behavior}" in robot.manager.fsm.reason

@@ -1,6 +1,7 @@
 """Joint set-points from outside: followed whole or refused whole, and nothing broken ever moves a joint."""
 
-from __future__ import annotations
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,18 +16,14 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import Attention, Behavior, Manipulation
 from valor.common.messages import JointSetpoints
 from valor.common.topics import JOINT_SETPOINTS
-from valor.motion_manager.handlers.handler import STALE
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.handlers.handler import STALE, RejectionCounter
 from valor.motion_manager.handlers.joint_setpoints import AHEAD, JointSetpointsHandler
-from valor.motion_manager.handlers.rejections import Rejections
-from valor.motion_manager.hands.hand_goals import HandGoals
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.upper_body import DWELL, SILENCE, UpperBody
-from valor.motion_manager.states.behavior_fsm import BehaviorFsm
 from valor.robot.description import RobotDescription
-from valor.robot.model import controller_model
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
-MODEL = controller_model(ROBOT)
 N = len(ROBOT.joints)
 PERIOD = round(1e9 * ROBOT.control_period)
 ARM = ROBOT.tables.groups["right_arm"]
@@ -50,15 +47,13 @@ class Bench:
         self.reference = JointReference(ROBOT)
         self.reference.take_up(np.ones(N, dtype=bool), ROBOT.nominal_posture)
         self.upper_body = UpperBody(ROBOT, self.reference)
-        self.rejections = Rejections()
-        self.handler = JointSetpointsHandler(
-            ROBOT,
-            self.fsm,
-            self.upper_body,
-            HandGoals(MODEL, self.reference, ROBOT.nominal_posture),
-            self.rejections,
-            taken_over=lambda: 5_000_000_000,
-        )
+        self.rejections = RejectionCounter()
+        components: Any = SimpleNamespace(
+            robot=ROBOT, fsm=self.fsm, upper_body=self.upper_body, rejections=self.rejections,
+            hand_goals=SimpleNamespace(moves=lambda side, now: False),
+            authority=SimpleNamespace(since=5_000_000_000),
+        )  # fmt: skip
+        self.handler = JointSetpointsHandler(components)
         self.watch = Watch(ROBOT.nominal_posture)
         for step in PATH[behavior]:
             self.go(step)
@@ -73,7 +68,7 @@ class Bench:
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / ROBOT.control_period)):
             self.now += PERIOD
-            self.upper_body.update(self.now * 1e-9)
+            self.upper_body.update(self.reference.position, self.now * 1e-9)
             self.reference.advance(self.now * 1e-9, ROBOT.control_period)
             self.watch.step(self.reference.position, self.reference.velocity)
 

@@ -1,6 +1,4 @@
-"""Control loops in real time, where the system grants it."""
-
-from __future__ import annotations
+"""Control loops in real time, if the system grants it."""
 
 import os
 import subprocess
@@ -11,6 +9,8 @@ import pytest
 from harness.places import REPOSITORY
 from harness.turns import known
 from valor.common.priority import BACKGROUND_NICENESS, SHORT_TURN
+
+pytestmark = pytest.mark.portable
 
 # In a process of its own: nobody wants the test runner in real time.
 _LOOP = """
@@ -98,5 +98,5 @@ def test_turns_are_those_of_all_threads_started_from_now_on(wanted: str) -> None
         assert length == usual
         return
     assert (policy_now, niceness_now) == (policy, niceness)
-    # A Linux that does not know of turns, or does not tell of them, leaves them as they are.
+    # A Linux that does not know of turns, or does not report them, leaves them as they are.
     assert length in ({round(SHORT_TURN * 1e9), usual} if wanted == "short" else {usual})

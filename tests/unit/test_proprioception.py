@@ -1,11 +1,7 @@
-"""Proprioceptor of what devices provide, whatever they are: kinds that the Comms Manager has never heard of."""
-
-from __future__ import annotations
+"""Proprioceptor of the measurements of all devices."""
 
 import math
 import time
-from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
@@ -13,94 +9,41 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import structs
 
+from harness.device_bench import StillDevice
 from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
-from valor.common.instance import Instance, Settings
 from valor.common.rotation import about_z, multiply
-from valor.comms_manager.hardware.attitude import FRESH, AttitudeSource
-from valor.comms_manager.hardware.device import (
-    Device,
-    DeviceContext,
-    ImuMeasurement,
-    Part,
-    UnitRecord,
-    WrenchMeasurement,
-)
-from valor.comms_manager.hardware.proprioception import Proprioception, require_complete
-from valor.devices import kinds
-from valor.devices.kinds import Kind, Quantity
-from valor.devices.table import Device as DeviceTable
-from valor.devices.table import WrenchPlace
+from valor.comms_manager.hardware.device import ImuMeasurement, Part, WrenchMeasurement
+from valor.comms_manager.hardware.proprioception import FRESH, AttitudeSource, Proprioception
 from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
-SETTINGS = Settings(robot=ROBOT.folder, ros_domain_id=1)
 Angle = st.floats(-math.pi, math.pi)
 
 
-class Plate(DeviceTable, tag="plate"):
-    """A force plate of a maker that nobody has heard of."""
-
-    at: list[WrenchPlace]
-
-    @property
-    def places(self) -> list[WrenchPlace]:
-        """Which it is under."""
-        return self.at
-
-    @property
-    def units(self) -> list[str]:
-        """As many."""
-        return list(self.at)
-
-
-class Still(Device):
-    """A device that says what a test has it say."""
-
-    def __init__(self, name: str, robot: RobotDescription) -> None:
-        super().__init__(name, DeviceContext(Instance("x", Path()), SETTINGS, robot))
-        self.records = tuple(UnitRecord(unit) for unit in self.context.robot.tables.devices[name].units or [name])
-
-    def find(self) -> None:
-        raise NotImplementedError
-
-    def run(self, stopping: Event) -> None:
-        raise NotImplementedError
-
-
-@pytest.fixture
-def plates(monkeypatch: pytest.MonkeyPatch) -> RobotDescription:
-    """ESCHER with a plate under each foot in the place of its sensors."""
-    row = Kind(Plate, Quantity.WRENCH, "nowhere:Plates", "nowhere:EmulatedPlates")
-    monkeypatch.setattr(kinds, "KINDS", {**kinds.KINDS, row.name: row})
-    monkeypatch.setattr("valor.comms_manager.hardware.device.KINDS", kinds.KINDS)
-    devices = {**ROBOT.tables.devices, "force_torque": Plate(at=["right_foot", "left_foot"])}
-    return RobotDescription(ROBOT.folder, structs.replace(ROBOT.tables, devices=devices))
-
-
-def test_a_kind_that_is_new_gives_its_wrenches_to_their_places(plates: RobotDescription) -> None:
-    devices = [Still(name, plates) for name in plates.tables.devices]
-    require_complete(plates, devices)
-    plate = next(device for device in devices if device.name == "force_torque")
-    assert plate.part("left_foot") is plate.part("right_foot") is Part.FOOT
-    senses = Proprioception(plates, devices)
-    plate.wrench = WrenchMeasurement(np.ones(2, dtype=np.int64), np.array([[1.0] * 6, [2.0] * 6]))
+def test_wrenches_belong_to_their_places() -> None:
+    devices = [StillDevice(name, ROBOT) for name in ROBOT.tables.devices]
+    ROBOT.require_devices()
+    sensors = next(device for device in devices if device.name == "force_torque")
+    assert [sensors.part(record.unit) for record in sensors.records] == [Part.FOOT, Part.FOOT, Part.HAND, Part.HAND]
+    senses = Proprioception(ROBOT, devices)
+    sensors.wrench = WrenchMeasurement(np.ones(4, dtype=np.int64), np.outer(np.arange(1.0, 5.0), np.ones(6)))
     state = senses.measure(7, 8, 9, None)
     assert (state.time, state.sequence, state.motor_sequence) == (7, 8, 9)
-    assert (state.right_foot_wrench == 1.0).all() and (state.left_foot_wrench == 2.0).all()
-    assert not state.left_hand_wrench.any() and not state.right_hand_wrench.any()
+    for row, place in enumerate(sensors.places, 1):
+        assert (getattr(state, f"{place}_wrench") == row).all()
 
 
-def test_what_none_or_two_provide_is_told(plates: RobotDescription) -> None:
-    devices = {**plates.tables.devices, "plates": Plate(at=["left_foot"])}
+def test_what_none_or_two_provide_is_reported() -> None:
+    devices = {**ROBOT.tables.devices, "twice": ROBOT.tables.devices["force_torque"]}
     del devices["imu"], devices["neck"]
-    robot = RobotDescription(plates.folder, structs.replace(plates.tables, devices=devices))
+    robot = RobotDescription(ROBOT.folder, structs.replace(ROBOT.tables, devices=devices))
     with pytest.raises(ConfigurationError) as raised:
-        require_complete(robot, [Still(name, robot) for name in devices])
+        robot.require_devices()
     assert str(raised.value).endswith(
-        "robot.yaml: devices: none moves neck_yaw, neck_pitch, lidar_roll; 0 IMUs; expected one, for the pelvis' "
-        "attitude; left_foot: in more than one device"
+        ": devices: none moves neck_yaw, neck_pitch, lidar_roll; 0 IMUs; expected one, for the pelvis' "
+        "attitude; left_foot, right_foot, left_hand, right_hand: in more than one device"
     )
 
 
@@ -120,8 +63,8 @@ def same(a: ImuMeasurement, b: ImuMeasurement) -> bool:
 def test_who_takes_over_goes_on_at_the_heading_of_the_one_before(
     first: float, second: float, roll: float, turned: float
 ) -> None:
-    """By how much headings differ is known from when both were heard; the robot has turned since."""
-    imu, kvh = Still("imu", ROBOT), Still("imu", ROBOT)
+    """By how much headings differ is known from when both were received; the robot has turned since."""
+    imu, kvh = StillDevice("imu", ROBOT), StillDevice("imu", ROBOT)
     source = AttitudeSource([imu, kvh])
     imu.attitude, kvh.attitude = sample(first, roll), sample(second, roll)
     assert source.measure(imu) is imu.attitude
@@ -133,7 +76,7 @@ def test_who_takes_over_goes_on_at_the_heading_of_the_one_before(
 
 
 def test_a_heading_that_is_old_is_compared_with_none() -> None:
-    imu, kvh = Still("imu", ROBOT), Still("imu", ROBOT)
+    imu, kvh = StillDevice("imu", ROBOT), StillDevice("imu", ROBOT)
     source = AttitudeSource([imu, kvh])
     imu.attitude, kvh.attitude = sample(0.5, 0.0), sample(0.0, 0.0)
     source.measure(imu)
@@ -144,5 +87,5 @@ def test_a_heading_that_is_old_is_compared_with_none() -> None:
 
 
 def test_before_the_first_sample_it_stands_upright() -> None:
-    imu = Still("imu", ROBOT)
+    imu = StillDevice("imu", ROBOT)
     assert AttitudeSource([imu]).measure(imu).orientation.tolist() == [1.0, 0.0, 0.0, 0.0]

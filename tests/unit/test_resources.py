@@ -1,6 +1,4 @@
-"""What comes with the code is found by name, and what does not, by its path."""
-
-from __future__ import annotations
+"""Resources are found by name, other files by path."""
 
 from pathlib import Path
 
@@ -11,27 +9,19 @@ from valor.common import resources
 from valor.common.errors import ConfigurationError
 from valor.robot import step_plan
 
-PLANS = REPOSITORY / "examples" / "plans"
 
-
-@pytest.mark.parametrize("name", sorted(file.stem for file in PLANS.glob("*.yaml")))
+@pytest.mark.parametrize("name", resources.names("plan"))
 def test_every_example_plan_is_found_by_name_and_can_be_read(name: str) -> None:
-    file = resources.plan_file(name)
-    assert file == PLANS / f"{name}.yaml"
+    file = resources.file_of("plan", name)
+    assert file == REPOSITORY / "examples" / "plans" / f"{name}.yaml"
     assert step_plan.load(file).steps
 
 
-def test_any_other_plan_is_found_by_its_path(tmp_path: Path) -> None:
+def test_other_files_are_found_by_path_and_missing_ones_named(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.touch()
-    assert resources.plan_file(str(file)) == file
-
-
-def test_a_plan_that_is_not_there_is_named_beside_those_that_are() -> None:
-    with pytest.raises(ConfigurationError, match=r"plan 'circle': expected a file, or one of arc, .*turn_right"):
-        resources.plan_file("circle")
-
-
-def test_an_example_that_is_not_there_is_named() -> None:
+    assert resources.file_of("plan", str(file)) == file
     with pytest.raises(ConfigurationError, match=r"examples/dance.py: not found"):
         resources.example_file("dance.py")
+    with pytest.raises(ConfigurationError, match=r"plan 'circle': expected a .yaml file, or one of arc, .*turn_right"):
+        resources.file_of("plan", "circle")

@@ -1,6 +1,5 @@
 """The links and frames of tf stand where MuJoCo's kinematics puts them."""
 
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 from harness.places import ROBOTS
-from valor.common.errors import ConfigurationError
 from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
 from valor.robot.model import full_model
@@ -77,21 +75,3 @@ def test_a_prepared_message_is_what_rclpy_would_have_sent() -> None:
         assert deserialize_message(prepared.serialized(stamp), TFMessage) == wanted
     with pytest.raises(ValueError, match="marked numbers"):
         PreparedMessage(wanted, 21)
-
-
-def test_rep_120_frames_are_there() -> None:
-    tree = KinematicTree.load(RobotDescription.load(ROBOTS / "escher"))
-    names = {tree.base_frame, *(link.name for link in tree.links), *(frame.name for frame in tree.frames)}
-    wanted = {"base_link", "torso", "gaze"} | {
-        f"{side}_{part}" for side in "lr" for part in ("wrist", "gripper", "ankle", "sole", "toe")
-    }
-    assert wanted <= names
-
-
-def test_a_model_that_cannot_be_read_is_one_line_with_the_file(tmp_path: Path) -> None:
-    robot = RobotDescription.load(ROBOTS / "escher")
-    (tmp_path / "robot.yaml").write_text((robot.folder / "robot.yaml").read_text())
-    (tmp_path / robot.tables.model).write_text("<mujoco><worldbody/></mujoco>")
-    with pytest.raises(ConfigurationError, match=robot.tables.model) as error:
-        KinematicTree.load(RobotDescription.load(tmp_path))
-    assert "\n" not in str(error.value)

@@ -1,7 +1,5 @@
 """A robot may lack head, hands, arms and waist: it stands and walks, and is refused what it has not the limbs for."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -17,20 +15,19 @@ from harness.vrc_in_process import Commander, Network
 from valor.common.behaviors import NOTHING_TO_LEAD, Behavior
 from valor.common.errors import ConfigurationError, RefusalError, ValorError
 from valor.common.messages import HandGoal
-from valor.motion_manager.handlers.hand_goal import HandGoalHandler
+from valor.motion_manager.behavior_fsm import GUARDS
+from valor.motion_manager.handlers.motion import HandGoalHandler
 from valor.motion_manager.manager import MotionManager
-from valor.motion_manager.states.behavior_fsm import GUARDS
-from valor.planning.sides import Sides
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knee, knees
-from valor.robot.model import controller_model, full_model
+from valor.robot.model import controller_model
 from valor.robot.model_tree import read
+from valor.self_test.acceptance import SelfTest
 from valor.simulation.sensors import Sensors
-from valor.valor_ros_controller.controllers.mode_requests import ModeRefusedError, admit
+from valor.valor_ros_controller.control_modes import ModeRejectedError, admit
 from valor.valor_ros_controller.core import Core
-from valor.valorctl import arm_motion
-from valor.valorctl.robot_check import examine
-from valor.whole_body.walking.velocity_steps import VelocitySteps
+from valor.valorctl.drive import arm_motion
+from valor.valorctl.robots.robot_check import examine
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 LIMBS = {
@@ -40,7 +37,6 @@ LIMBS = {
     "no arms": ("left_arm", "right_arm"),
     "legs alone": ("left_arm", "right_arm", "neck", "torso"),
 }
-SPEED = 0.25  # [m/s]
 
 
 @pytest.fixture(scope="module", params=list(LIMBS.values()), ids=list(LIMBS))
@@ -60,7 +56,7 @@ def one_armed(tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
 
 def core(robot: RobotDescription) -> Core:
     node: Any = Network()
-    return Core(robot, node, Commander, decimation=2, silence_timeout=1.0)
+    return Core(robot, node, Commander, decimation=2, silence_timeout=1.0)  # type: ignore[arg-type]
 
 
 def test_it_is_sound(robot: RobotDescription) -> None:
@@ -69,19 +65,8 @@ def test_it_is_sound(robot: RobotDescription) -> None:
 
 @pytest.mark.parametrize("profile", ["ideal", "hardware"])
 def test_legs_alone_stand_and_walk(legs: RobotDescription, profile: str) -> None:
-    loop = ClosedLoop(legs, profile)
-    loop.settle(0.3)
-    loop.run(1.5)
-    assert loop.fall is None
-    loop.controller.step_source = source = VelocitySteps(legs.tables.walking)
-    began, from_x = loop.time, float(loop.plant.data.qpos[0])
-    while loop.fall is None and loop.time < began + 4.0:
-        source.command(np.array((SPEED, 0.0, 0.0)), loop.time)
-        source.advance(loop.time)
-        loop.step()
-    assert loop.fall is None
-    assert float(loop.plant.data.qpos[0]) - from_x > 0.5 * SPEED * 4.0
-    assert loop.command.qp_failures == 0
+    played = {name: play() for name, play in SelfTest(legs, profile).tests() if name in {"stand", "walk"}}
+    assert {name: result.reason for name, result in played.items()} == {"stand": "", "walk": ""}
 
 
 def test_hands_that_are_not_there_feel_nothing(one_armed: RobotDescription) -> None:
@@ -94,23 +79,23 @@ def test_hands_that_are_not_there_feel_nothing(one_armed: RobotDescription) -> N
 
 def test_a_goal_for_a_hand_that_is_not_there_is_refused(one_armed: RobotDescription) -> None:
     manager = MotionManager(one_armed, controller_model(one_armed))
-    handler = HandGoalHandler.of(manager.parts)
+    handler = HandGoalHandler(manager.components)
     for active in (True, False):
         goal = HandGoal(0, 0, active, "pelvis", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
         with pytest.raises(RefusalError, match="no left hand"):
-            handler.obey(Received(goal, 0, 1, "test"), 0)
-    assert list(manager.parts.hand_goals.sides) == [1]
-    assert not manager.parts.hand_goals.leads(0)
+            handler.execute(Received(goal, 0, 1, "test"), 0)
+    assert list(manager.components.hand_goals.sides) == [1]
+    assert not manager.components.hand_goals.leads(0)
 
 
 def test_where_nothing_can_be_led_nobody_manipulates(legs: RobotDescription) -> None:
-    parts = MotionManager(legs, controller_model(legs)).parts
+    parts = MotionManager(legs, controller_model(legs)).components
     assert not list(parts.hand_goals.sides)
     made = core(legs)
     modes = [name for name, mode in made.modes.modes.items() if mode.lacking]
     assert modes == ["stand_manipulate", "manipulate", "step_manipulate", "walk_manipulate"]
     for mode in modes:
-        with pytest.raises(ModeRefusedError, match=NOTHING_TO_LEAD):
+        with pytest.raises(ModeRejectedError, match=NOTHING_TO_LEAD):
             admit(made.modes, mode, "stand", "stand", "")
     guarded = [edge for edge, guards in GUARDS.items() if edge[1].manipulating]
     assert [there for _, there in guarded] == [behavior for behavior in Behavior if behavior.manipulating]
@@ -161,17 +146,7 @@ _LEG = """<mujoco><worldbody><body name="thigh"><joint name="hip" axis="0 1 0"/>
 def test_knees_are_found_whichever_way_they_turn(tmp_path: Path, turned_ones: tuple[str, ...]) -> None:
     robot = turned(ESCHER, tmp_path, turned_ones)
     found = knees(robot)
-    assert [robot.joints[place] for place in found.places] == ["l_knee_pitch", "r_knee_pitch"]
+    assert [robot.joints[place] for place in found.indices] == ["l_knee_pitch", "r_knee_pitch"]
     bent = ESCHER.nominal_posture[[ESCHER.index["l_knee_pitch"], ESCHER.index["r_knee_pitch"]]]
     np.testing.assert_allclose(found.flexion(robot.nominal_posture), bent)
     np.testing.assert_allclose(found.flexion(np.array([robot.nominal_posture] * 3)), [bent] * 3)
-
-
-def test_twins_are_those_of_the_other_side() -> None:
-    sides = Sides(full_model(ESCHER))
-    mj = full_model(ESCHER).mj
-    for name in ESCHER.joints:
-        assert sides.joint(name) == (f"r_{name[2:]}" if name.startswith("l_") else name)
-    for body in map(mj.body, range(1, mj.nbody)):
-        assert sides.body(body.name) == (f"r_{body.name[2:]}" if body.name.startswith("l_") else body.name)
-        assert sides.is_right(body.id) is body.name.startswith("r_")

@@ -1,8 +1,7 @@
 """How the emulated robot's time passes beside the wall's: a slow computer is a slow robot."""
 
-from __future__ import annotations
-
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from harness.places import ROBOTS
 from valor.common.instance import Settings
 from valor.common.messages import JointMode
-from valor.device_emulators.robot import LONGEST, PATIENCE, STALENESS, SimulatedRobot
+from valor.device_emulators.robot import MAX_ADVANCE, PAUSE_TIMEOUT, STALENESS, SimulatedRobot
 from valor.devices.table import SeaCanFd
 from valor.robot.description import RobotDescription
 
@@ -40,57 +39,52 @@ LEGS = np.array(
 )
 
 
-def command(robot: SimulatedRobot) -> None:
-    """Have the legs stay."""
-    position = robot.measured.joint_position[LEGS]
-    robot.command(
-        LEGS, mode=JointMode.POSITION, position=position, velocity=0.0, effort=0.0, stiffness=0.0, damping=0.0
-    )
-
-
-def pass_time(robot: SimulatedRobot, start: float, seconds: float) -> float:
-    """Let time pass on the wall, turn by turn; returns its end."""
-    for k in range(1, round(seconds / TURN) + 1):
-        robot.pass_until(start + k * TURN)
-    return start + seconds
-
-
-def test_it_keeps_to_the_wall_when_nobody_is_there_yet(robot: SimulatedRobot) -> None:
+@pytest.fixture
+def pass_time(robot: SimulatedRobot) -> Callable[[float], None]:
+    """Lets time pass on the wall, turn by turn."""
     now = time.monotonic()
     robot.pass_until(now)
-    pass_time(robot, now, 0.2)
+
+    def pass_time(seconds: float) -> None:
+        nonlocal now
+        for _ in range(round(seconds / TURN)):
+            now += TURN
+            robot.pass_until(now)
+
+    return pass_time
+
+
+def command(robot: SimulatedRobot) -> None:
+    zero = dict.fromkeys(("velocity", "effort", "stiffness", "damping"), 0.0)
+    robot.command(LEGS, JointMode.POSITION, {"position": robot.measured.joint_position[LEGS], **zero})
+
+
+def test_it_keeps_to_the_wall_when_nobody_is_there_yet(
+    robot: SimulatedRobot, pass_time: Callable[[float], None]
+) -> None:
+    pass_time(0.2)
     assert robot.time == pytest.approx(0.2, abs=STEP)
     assert robot.slip == pytest.approx(0.0, abs=STEP)
 
 
-def test_it_waits_for_commands_and_goes_on_with_the_next(robot: SimulatedRobot) -> None:
-    now = time.monotonic()
-    robot.pass_until(now)
-    command(robot)
-    now = pass_time(robot, now, 0.1)
+@pytest.mark.parametrize("ask", [command, SimulatedRobot.state_requested], ids=["command", "state"])
+def test_it_waits_for_whoever_is_there_and_goes_on_with_the_next_command(
+    robot: SimulatedRobot, pass_time: Callable[[float], None], ask: Callable[[SimulatedRobot], None]
+) -> None:
+    ask(robot)
+    pass_time(0.1)
     assert robot.time == pytest.approx(STALE, abs=STEP), "no farther without another command"
     assert robot.slip == pytest.approx(0.1 - STALE, abs=2 * STEP)
     command(robot)
-    now = pass_time(robot, now, 0.01)
+    pass_time(0.01)
     assert robot.time == pytest.approx(STALE + 0.01, abs=2 * STEP), "what was lost is not made up"
-    assert "99 %: 12 ms" in robot.commands.describe()
 
 
-def test_it_waits_for_whoever_asks_before_the_first_command(robot: SimulatedRobot) -> None:
-    now = time.monotonic()
-    robot.pass_until(now)
-    robot.asked()
-    pass_time(robot, now, 0.1)
-    assert robot.time == pytest.approx(STALE, abs=STEP)
-
-
-def test_whoever_is_gone_is_not_waited_for(robot: SimulatedRobot) -> None:
-    now = time.monotonic()
-    robot.pass_until(now)
+def test_whoever_is_gone_is_not_waited_for(robot: SimulatedRobot, pass_time: Callable[[float], None]) -> None:
     command(robot)
-    now = pass_time(robot, now, PATIENCE)
+    pass_time(PAUSE_TIMEOUT)
     before = robot.time
-    now = pass_time(robot, now + TURN, 0.2)
+    pass_time(0.2)
     assert robot.time - before == pytest.approx(0.2, abs=0.02), "the drives' watchdogs hold the robot"
 
 
@@ -98,5 +92,5 @@ def test_a_stall_of_the_bench_is_made_up_a_little_and_the_rest_is_slip(robot: Si
     now = time.monotonic()
     robot.pass_until(now)
     robot.pass_until(now + 1.0)
-    assert robot.time == pytest.approx(LONGEST, abs=STEP)
+    assert robot.time == pytest.approx(MAX_ADVANCE, abs=STEP)
     assert robot.time + robot.slip == pytest.approx(1.0, abs=STEP)

@@ -1,7 +1,5 @@
 """The URDF is the robot's one model, to others' readers: MuJoCo's importer of URDF, and the XML itself."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -19,8 +17,7 @@ from valor.robot.commanded_limits import VELOCITY_FACTOR
 from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
 from valor.robot.model import full_model
-from valor.robot.model_tree import read
-from valor.robot.urdf import SPHERE
+from valor.robot.model_tree import SPHERE, read
 
 NAMES = sorted(path.parent.name for path in ROBOTS.glob("*/robot.yaml"))
 
@@ -45,7 +42,6 @@ def tree(robot: RobotDescription) -> KinematicTree:
 
 
 def test_links_and_frames_stand_where_the_model_puts_them(robot: RobotDescription, tree: KinematicTree) -> None:
-    """At random configurations."""
     model, theirs = full_model(robot), imported(tree.urdf)
     ours, other = mujoco.MjData(model.mj), mujoco.MjData(theirs)
     rng = np.random.default_rng(0)
@@ -127,11 +123,6 @@ def test_a_hinge_beside_its_link_and_links_that_stand_askew(robot: RobotDescript
     test_links_and_frames_stand_where_the_model_puts_them(askew, read(askew))
 
 
-def test_shapes_stand_where_the_models_do(robot: RobotDescription, tree: KinematicTree) -> None:
-    """What is seen and what collides, of every link, by trimesh's shapes."""
-    check_shapes(robot, tree)
-
-
 LOOK = """
 <geom class="visual" type="mesh" mesh="whole" rgba="0.2 0.4 0.6 1"/>
 <geom class="visual" type="mesh" mesh="mirrored" pos="0.1 -0.2 0.3" euler="0.4 -0.5 0.6"/>
@@ -168,18 +159,12 @@ def test_meshes_are_shown_from_where_they_lie(meshed: RobotDescription) -> None:
     tree = read(meshed)
     files = [mesh.get("filename") for mesh in ElementTree.fromstring(tree.urdf).iter("mesh")]
     assert files == [*[(meshed.folder / "meshes" / "shape.stl").as_uri()] * 2, SPHERE.as_uri(), files[0]]
-    check_shapes(meshed, tree)
+    test_shapes_stand_where_the_models_do(meshed, tree)
     (color,) = (m for m in ElementTree.fromstring(tree.urdf).iter("color") if m.get("rgba") == "0.2 0.4 0.6 1")
     assert color is not None
 
 
-def test_a_mesh_is_named_as_is_asked(meshed: RobotDescription) -> None:
-    tree = read(meshed, lambda file: f"package://ours/meshes/{file.name}")
-    files = {mesh.get("filename") for mesh in ElementTree.fromstring(tree.urdf).iter("mesh")}
-    assert files == {"package://ours/meshes/shape.stl", "package://ours/meshes/sphere.stl"}
-
-
-def check_shapes(robot: RobotDescription, tree: KinematicTree) -> None:
+def test_shapes_stand_where_the_models_do(robot: RobotDescription, tree: KinematicTree) -> None:
     """Bounds of each link's shapes, in the link, within a tenth of a millimetre."""
     mj = full_model(robot, "all").mj
     links = {link.get("name"): link for link in ElementTree.fromstring(tree.urdf).iter("link")}
@@ -258,6 +243,5 @@ def ellipsoid(place: FloatArray, turn: FloatArray, radii: FloatArray) -> FloatAr
 
 
 def cylinder(place: FloatArray, turn: FloatArray, radius: float, half: float) -> FloatArray:
-    """(2, 3) corners of its bounds."""
     reach = np.abs(turn[:, 2]) * half + np.linalg.norm(turn[:, :2], axis=1) * radius
     return np.stack((place - reach, place + reach))

@@ -1,20 +1,28 @@
 """What holds for every robot of ``robots/``: mirror symmetry, standing, what may touch, no number that stands twice."""
 
-from __future__ import annotations
+import re
+from pathlib import Path
 
-import math
-
+import msgspec
 import mujoco
 import numpy as np
 import pytest
 
+from harness.generated_robot import Build
 from harness.places import ROBOTS
+from tests.unit.robot_setup.builds import made
 from valor.common.arrays import FloatArray
-from valor.robot.checks import Stance
+from valor.common.errors import ConfigurationError
+from valor.common.table import Table
+from valor.robot.checks.folder import asymmetries
+from valor.robot.checks.stance import Stance
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model, full_model
-from valor.robot.symmetry import asymmetries
+from valor.robot.motion_tables import Footsteps, PelvisMotion, SelfCollision, Walking
+from valor.robot.size import ESCHER, Size, completed, factors
 from valor.robot.tables import WHOLE_BODY_GROUPS
+from valor.valorctl.robots import robot_check
+from valor.whole_body.tuning_tables import Disturbance, FallDetection, Tuning
 
 ALL = {file.parent.name: RobotDescription.load(file.parent) for file in sorted(ROBOTS.glob("*/robot.yaml"))}
 FULL = {name: full_model(robot, "collision") for name, robot in ALL.items()}
@@ -22,16 +30,11 @@ CONTROLLER = {name: controller_model(robot) for name, robot in ALL.items()}
 MODELS = [*FULL.values(), *CONTROLLER.values()]
 IDS = [*(f"{name}-full" for name in FULL), *(f"{name}-controller" for name in CONTROLLER)]
 
-every_model = pytest.mark.parametrize("model", MODELS, ids=IDS)
-every_full_model = pytest.mark.parametrize("model", FULL.values(), ids=FULL.keys())
-every_robot = pytest.mark.parametrize("robot", ALL.values(), ids=ALL.keys())
-
 # Turning about x or z is mirrored into turning the other way, about y into the same.
 LATERAL = ("_yaw", "_roll")
 
 
 def configuration(model: Model, **joints: float) -> FloatArray:
-    """The zero pose with some joints elsewhere."""
     qpos: FloatArray = model.mj.qpos0.copy()
     for name, angle in joints.items():
         qpos[model.mj.joint(name).qposadr[0]] = angle
@@ -39,26 +42,10 @@ def configuration(model: Model, **joints: float) -> FloatArray:
 
 
 def forward(model: Model, qpos: FloatArray) -> mujoco.MjData:
-    """Everything that MuJoCo computes at a configuration."""
     data = mujoco.MjData(model.mj)
     data.qpos[:] = qpos
     mujoco.mj_forward(model.mj, data)
     return data
-
-
-def touching(model: Model, data: mujoco.MjData) -> set[tuple[str, ...]]:
-    """Pairs of bodies in contact."""
-    mj = model.mj
-    return {tuple(sorted(mj.body(mj.geom_bodyid[geom]).name for geom in contact.geom)) for contact in data.contact}
-
-
-def with_preset(model: Model, name: str, *sides: str) -> FloatArray:
-    """The nominal posture with one or both arms at a preset."""
-    qpos = model.nominal_qpos()
-    for side in sides:
-        for joint, angle in model.robot.tables.arm_presets[name][side].items():  # type: ignore[index]
-            qpos[model.mj.joint(joint).qposadr[0]] = angle
-    return qpos
 
 
 def other_side(name: str) -> str:
@@ -66,110 +53,8 @@ def other_side(name: str) -> str:
     return {"l_": "r_", "r_": "l_"}.get(name[:2], name[:2]) + name[2:]
 
 
-@every_robot
-def test_every_joint_is_in_one_group(robot: RobotDescription) -> None:
-    grouped = [joint for joints in robot.tables.groups.values() for joint in joints]
-    assert sorted(grouped) == sorted(robot.joints)
-
-
-@every_robot
-def test_both_sides_have_the_same_drives_and_mirrored_limits(robot: RobotDescription) -> None:
-    joints = robot.tables.joints
-    for name, joint in joints.items():
-        twin = joints[other_side(name)]
-        for field in ("servo", "armature", "damping", "control", "effort", "velocity"):
-            assert getattr(joint, field) == getattr(twin, field), (name, field)
-        if joint.lower is not None and joint.upper is not None:
-            expected = (-joint.upper, -joint.lower) if name.endswith(LATERAL) else (joint.lower, joint.upper)
-            assert (twin.lower, twin.upper) in (expected, (joint.lower, joint.upper)), name
-
-
-@every_robot
-def test_left_and_right_are_mirror_images(robot: RobotDescription) -> None:
-    """In mirrored postures every joint, and what hangs from it, is at a mirrored place: geometry, masses, axes agree.
-
-    As well as `valorctl robot check` tells no difference: half a percent of the leg, one of the mass.
-    """
-    assert list(asymmetries(Stance(robot))) == []
-
-
-@every_full_model
-def test_inertias_are_those_of_solid_bodies(model: Model) -> None:
-    """Radii of gyration between 5 mm and 15 cm, and the triangle inequality, for every body."""
-    for i in range(1, model.mj.nbody):
-        inertia, mass = np.sort(model.mj.body_inertia[i]), model.mj.body_mass[i]
-        assert inertia[0] > 0
-        assert inertia[0] + inertia[1] >= inertia[2] * (1 - 1e-4), model.mj.body(i).name  # five digits in the file
-        assert 0.005 <= math.sqrt(inertia[2] / mass) <= 0.15, model.mj.body(i).name
-
-
-@every_model
-def test_nominal_posture_has_the_com_over_the_middle_of_flat_soles(model: Model) -> None:
-    data = forward(model, model.nominal_qpos())
-    feet = model.robot.tables.feet
-    centers = []
-    for foot in (feet.left, feet.right):
-        sole = data.site(foot.sole)
-        assert abs(sole.xpos[2]) < 1e-3
-        np.testing.assert_allclose(sole.xmat.reshape(3, 3)[:, 2], (0, 0, 1), atol=1e-3)
-        centers.append(sole.xpos + sole.xmat.reshape(3, 3) @ ((foot.heel + foot.toe) / 2, 0, 0))
-    com = data.subtree_com[model.body(model.robot.tables.base)]
-    assert np.linalg.norm(com[:2] - np.mean(centers, axis=0)[:2]) < 0.005
-
-
-@every_model
-def test_walking_knows_how_long_the_legs_are(model: Model) -> None:
-    """``hip_height`` is that of the nominal posture; ``leg_reach`` leaves the knee bent."""
-    table, data = model.robot.tables.walking, forward(model, model.nominal_qpos())
-    hip, knee, ankle = (data.body(name).xpos for name in ("l_thigh", "l_shin", "l_foot"))
-    assert table.hip_height == pytest.approx(hip[2] - ankle[2], abs=0.01)
-    straight = np.linalg.norm(hip - knee) + np.linalg.norm(knee - ankle)
-    assert table.hip_height < table.leg_reach < 0.95 * straight
-
-
-@every_robot
-def test_nominal_posture_is_within_limits_with_room_to_move(robot: RobotDescription) -> None:
-    moving = np.isfinite(robot.lower)
-    hands = [joint for side in ("left", "right") for joint in robot.tables.groups[f"{side}_hand"]]
-    moving[[robot.index[joint] for joint in hands]] = False
-    nominal = robot.nominal_posture[moving]
-    assert (nominal - robot.lower[moving] > 0.05).all()
-    assert (robot.upper[moving] - nominal > 0.05).all()
-    finite = np.isfinite(robot.lower)
-    assert (robot.nominal_posture[finite] >= robot.lower[finite]).all()
-    assert (robot.nominal_posture[finite] <= robot.upper[finite]).all()
-
-
-@every_full_model
-def test_ankles_hold_the_robot_up_without_control(model: Model) -> None:
-    robot = model.robot
-    base = model.body(robot.tables.base)
-    height = forward(model, model.nominal_qpos()).subtree_com[base][2]
-    ankles = sum(robot.tables.joints[name].servo.stiffness for name in ("l_ankle_pitch", "r_ankle_pitch"))
-    assert ankles > 1.5 * model.mj.body_subtreemass[base] * 9.81 * height
-
-
-@every_robot
-def test_servos_are_damped_enough_for_the_torque_lag(robot: RobotDescription) -> None:
-    lag = robot.tables.actuators["hardware"].torque_lag
-    assert (robot.servo_damping > lag * robot.servo_stiffness).all()
-
-
-@every_full_model
-def test_nothing_touches_in_the_zero_and_nominal_postures(model: Model) -> None:
-    for qpos in (model.mj.qpos0, model.nominal_qpos()):
-        assert touching(model, forward(model, qpos)) == set()
-
-
-@pytest.mark.parametrize("sides", [("left",), ("right",), ("left", "right")], ids="+".join)
-@every_full_model
-def test_arm_presets_touch_nothing(model: Model, sides: tuple[str, ...]) -> None:
-    for preset in model.robot.tables.arm_presets:
-        assert touching(model, forward(model, with_preset(model, preset, *sides))) == set(), preset
-
-
 @pytest.mark.parametrize("limb", ["arm", "hand"])
-@every_robot
+@pytest.mark.parametrize("robot", ALL.values(), ids=ALL.keys())
 def test_presets_are_complete_within_limits_and_mirrored(robot: RobotDescription, limb: str) -> None:
     presets = getattr(robot.tables, f"{limb}_presets")
     assert {"arm": {"home", "forward", "side", "up", "fold"}, "hand": {"open", "close"}}[limb] <= set(presets)
@@ -186,13 +71,7 @@ def test_presets_are_complete_within_limits_and_mirrored(robot: RobotDescription
             assert sides["right"][other_side(name)] == (-angle if name.endswith(LATERAL) else angle)
 
 
-@every_full_model
-def test_the_arm_cannot_pass_through_the_chest(model: Model) -> None:
-    qpos = configuration(model, l_shoulder_yaw=-1.5, l_elbow_pitch=0.3, l_shoulder_roll=-0.5)
-    assert {("chest", "l_forearm"), ("chest", "l_hand")} & touching(model, forward(model, qpos))
-
-
-@every_model
+@pytest.mark.parametrize("model", MODELS, ids=IDS)
 def test_models_carry_the_numbers_of_robot_yaml(model: Model) -> None:
     mj, tables = model.mj, model.robot.tables
     for name in model.joints:
@@ -204,15 +83,6 @@ def test_models_carry_the_numbers_of_robot_yaml(model: Model) -> None:
         if table.lower is not None and table.upper is not None:
             np.testing.assert_allclose(joint.range, (table.lower, table.upper))
     assert mj.opt.timestep == tables.physics_step
-
-
-@every_model
-def test_addresses_lead_to_the_joints(model: Model) -> None:
-    for place, name in enumerate(model.joints):
-        joint = model.mj.joint(name)
-        assert np.arange(model.mj.nq)[model.qpos][place] == joint.qposadr[0]
-        assert np.arange(model.mj.nv)[model.dof][place] == joint.dofadr[0]
-        assert np.array(model.robot.joints)[model.joint_indices][place] == name
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -235,3 +105,155 @@ def test_controller_model_weighs_what_the_full_one_does(name: str) -> None:
     mujoco.mj_fullM(controller.mj, reduced, m)
     rows = [*range(6), *(full_one.mj.joint(joint).dofadr[0] for joint in controller.joints)]
     np.testing.assert_allclose(M[np.ix_(rows, rows)], m, atol=1e-9)
+
+
+# Mirror symmetry of the sides of a robot: differences are measured and reported, but are no faults.
+
+
+@pytest.mark.parametrize("name", sorted(file.parent.name for file in ROBOTS.glob("*/robot.yaml")))
+def test_included_robots_are_exact_mirror_images(name: str) -> None:
+    assert list(asymmetries(Stance(RobotDescription.load(ROBOTS / name)), 1e-9, 1e-9)) == []
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_joints_of_both_sides_have_the_same_drive(name: str) -> None:
+    """All numbers of a joint and its twin but for its limits, which are mirrored with its axis."""
+    joints = {each: msgspec.to_builtins(joint) for each, joint in ALL[name].tables.joints.items()}
+    for each, joint in joints.items():
+        different = {key for key, value in joints[other_side(each)].items() if value != joint[key]}
+        assert different <= {"lower", "upper"}, (each, different)
+
+
+def test_mirrored_axes_make_no_difference(tmp_path: Path) -> None:
+    robot = made(Build(mirrored=True, knee=-1), tmp_path)
+    assert list(asymmetries(Stance(robot), 1e-5, 1e-6)) == []
+
+
+def test_differences_are_reported_by_name(tmp_path: Path) -> None:
+    robot = made(Build(), tmp_path)
+    model, table = robot.model_file.read_text(), robot.file.read_text()
+    thigh = re.search(r'<body name="left_thigh".*?<inertial mass="([0-9.]+)"', model, re.DOTALL)
+    assert thigh is not None
+    heavier = model[: thigh.start(1)] + str(float(thigh[1]) * 1.2) + model[thigh.end(1) :]
+    robot.model_file.write_text(heavier)
+    robot.file.write_text(re.sub(r"(  right_knee_\S+ .*?effort: )[0-9.]+", r"\g<1>150", table))
+    findings = robot_check.examine(robot.folder)
+    notes, reported = findings.notes(), list(asymmetries(Stance(findings.require_none())))
+    assert set(notes) <= {*reported, notes[-1]}
+    assert any("left_hip_z" in line and "kg" in line for line in reported)
+    assert any(line.startswith("effort of left_knee") and "150" in line for line in reported)
+    assert not any("right_ankle" in line for line in reported)
+
+
+# Defaults of another size: ESCHER's, as a robot of that size would have them.
+
+
+QUARTER = factors(Size(leg=ESCHER.leg / 4, mass=ESCHER.mass / 10), 0.07425 / 2)
+
+
+def robot(folder: Path, *changes: tuple[str, str]) -> RobotDescription:
+    text = (ROBOTS / "escher" / "robot.yaml").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "robot.yaml").write_text(text)
+    (folder / "model.xml").symlink_to(ROBOTS / "escher" / "model.xml")
+    return RobotDescription.load(folder)
+
+
+def test_eschers_are_the_defaults_to_the_last_bit() -> None:
+    escher = RobotDescription.load(ROBOTS / "escher")
+    tables, tuning = escher.tables, escher.read(Tuning)
+    assert (tables.walking, tables.pelvis, tables.footsteps) == (Walking(), PelvisMotion(), Footsteps())
+    assert tables.self_collision == SelfCollision(pairs=tables.self_collision.pairs)
+    assert tuning == Tuning()
+    assert set(factors(ESCHER, 0.07425).values()) == {1.0}
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "expected"),
+    [
+        (Walking, "swing_duration", 0.3),
+        (Walking, "touchdown_force", 3.0),
+        (Walking, "foot_stiffness", 1200.0),
+        (Footsteps, "min_width", 0.075),
+        (PelvisMotion, "max_turn_rate", 0.8),
+        (Disturbance, "edge_margin", 0.015),
+        (FallDetection, "tilt", None),
+    ],
+)
+def test_defaults_go_by_their_dimension(kind: type[Table], key: str, expected: float | None) -> None:
+    assert completed(kind, {}, QUARTER).get(key) == (None if expected is None else pytest.approx(expected))
+
+
+def test_what_is_said_stays_as_it_is_and_what_is_no_table_too() -> None:
+    assert completed(Walking, {"swing_duration": 0.6}, QUARTER)["swing_duration"] == 0.6
+    assert completed(Walking, [1], QUARTER) == [1]
+
+
+def test_a_robots_tables_are_of_its_size(tmp_path: Path) -> None:
+    small = robot(
+        tmp_path,
+        ("leg: 0.82", "leg: 0.205"),
+        ("half_width: 0.07425", "half_width: 0.019"),
+        ("footsteps: {}", "footsteps: { max_up: 0.1 }"),
+    )
+    footsteps = small.tables.footsteps
+    assert footsteps is not None
+    assert (footsteps.max_up, footsteps.max_down) == (0.1, 0.05)
+    assert footsteps.min_width == pytest.approx(0.15 * 0.019 / 0.07425)
+    assert small.tables.walking.swing_duration == pytest.approx(0.3)
+    assert small.read(Tuning).disturbance.recovery_swing_duration == pytest.approx(0.15)
+
+
+def test_footsteps_that_are_not_there_stay_so(tmp_path: Path) -> None:
+    assert robot(tmp_path, ("footsteps: {}", "")).tables.footsteps is None
+
+
+def test_what_a_default_does_not_fit_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"footsteps.min_width: got 0.15; expected less than max_width, 0.12"):
+        robot(tmp_path, ("footsteps: {}", "footsteps: { max_width: 0.12 }"))
+
+
+# THOR's description: its published dimensions and axes.
+
+
+ROBOT, MODEL = ALL["thor"], FULL["thor"]
+LEG = ("hip_yaw", "hip_roll", "hip_pitch", "knee_pitch", "ankle_pitch", "ankle_roll")
+ARM = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow_pitch", "wrist_roll", "wrist_yaw", "hand_roll")
+
+
+def test_has_34_joints_with_roll_yaw_roll_wrists_and_grippers_of_two() -> None:
+    expected = {f"{side}_{name}" for side in "lr" for name in (*LEG, *ARM, "f0_j0", "f1_j0")}
+    expected |= {"waist_yaw", "neck_yaw", "neck_pitch", "lidar_roll"}
+    assert set(ROBOT.joints) == expected
+    assert len(ROBOT.joints) == 34
+    axes = [MODEL.mj.jnt_axis[MODEL.mj.joint(f"l_{name}").id].tolist() for name in ARM[-3:]]
+    assert axes == [[1, 0, 0], [0, 0, 1], [1, 0, 0]]
+
+
+def test_mass_and_lengths_are_the_published_ones() -> None:
+    assert MODEL.mj.body_subtreemass[MODEL.body("pelvis")] == pytest.approx(65.0, abs=1e-6)
+    data = forward(MODEL, MODEL.mj.qpos0)
+    head = [i for i in range(MODEL.mj.ngeom) if MODEL.mj.geom_bodyid[i] == MODEL.body("head")]
+    top = max(data.geom_xpos[i][2] + MODEL.mj.geom_size[i][2] for i in head)
+    assert top == pytest.approx(1.78, abs=0.02)
+    hip, knee, ankle = (data.body(name).xpos for name in ("l_thigh", "l_shin", "l_foot"))
+    assert hip[1] == pytest.approx(0.094)
+    assert hip[2] - knee[2] == pytest.approx(0.379)
+    assert knee[2] - ankle[2] == pytest.approx(0.380)
+    assert data.site("l_sole").xpos[2] == pytest.approx(0.0, abs=1e-9)
+    foot = ROBOT.tables.feet.left
+    assert (foot.toe - foot.heel, 2 * foot.half_width) == pytest.approx((0.230, 0.125))
+
+
+def test_fingers_meet_when_the_gripper_closes() -> None:
+    def gap(angle: float) -> float:
+        data = forward(MODEL, configuration(MODEL, l_f0_j0=angle, l_f1_j0=angle))
+        return float(np.linalg.norm(data.body("l_finger_0").xipos - data.body("l_finger_1").xipos))
+
+    upper = ROBOT.tables.joints["l_f0_j0"].upper
+    assert upper == 2.685
+    assert gap(0.0) > 0.1
+    assert gap(1.745) < 0.08  # both straight ahead
+    assert gap(0.0) > gap(0.6) > gap(1.2) > gap(1.7)

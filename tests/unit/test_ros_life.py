@@ -1,7 +1,5 @@
 """A node's life, time and arguments, in a process that has no robot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +9,8 @@ from harness.instance import RunningInstance
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Settings
 from valor.ros.node import ProcessNode, RosSide
+
+pytestmark = pytest.mark.portable
 
 
 @pytest.fixture
@@ -30,8 +30,8 @@ def side(settings: Settings) -> Iterator[RosSide]:
     made.close()
 
 
-def test_whoever_knows_robot_time_shows_it_and_hears_no_clock(side: RosSide) -> None:
-    side.node.tell_time(1_500_000_000)
+def test_a_process_with_robot_time_shows_it_and_subscribes_to_no_clock(side: RosSide) -> None:
+    side.node.set_time(1_500_000_000)
     assert side.node.get_clock().now().nanoseconds == 1_500_000_000
     assert not side.node.count_subscribers("/clock")
 
@@ -45,7 +45,7 @@ def test_whoever_knows_robot_time_shows_it_and_hears_no_clock(side: RosSide) -> 
         ("hardware", ("--ros-args", "-p", "use_sim_time:=true"), True),
     ],
 )
-def test_sim_time_is_that_of_the_variant_unless_an_argument_says_otherwise(
+def test_sim_time_is_that_of_the_variant_unless_an_argument_states_otherwise(
     settings: Settings, variant: str, arguments: tuple[str, ...], expected: bool
 ) -> None:
     side = joined(settings, *arguments, variant=variant)
@@ -82,11 +82,11 @@ def test_a_node_is_active_while_it_can_work_and_finalized_at_the_end(settings: S
             return super().on_shutdown(state)
 
     side = joined(settings, node=Watched)
-    side.life.configured()
-    side.attend()
+    side.life.configure()
+    side.serve_pending()
     assert states == ["configured"]
     for ready in (True, True, False, True):
-        side.life.tell(ready, "something")
-        side.attend()
+        side.life.set_ready(ready, "something")
+        side.serve_pending()
     side.close()
     assert states == ["configured", "activated", "deactivated", "activated", "deactivated", "shut down"]

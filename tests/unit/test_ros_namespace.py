@@ -1,23 +1,25 @@
 """Namespaces, and the ROS domains that instances share by them."""
 
-from __future__ import annotations
-
+import itertools
 import re
+import socket
+import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
 
 from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.instance import Instance, Settings, ros_namespace
 from valor.common.table import checked
+from valor.ros.node import Sieve
 from valor.ros.topics import shown
-from valor.valorctl import middleware, ros_domain
+from valor.valorctl.instance import ros_domain
+from valor.valorctl.instance.ros_domain import DOMAINS, choose, daemon_ports, discovery_port, is_free, is_reserved
 
 
 @given(st.one_of(st.text(max_size=80), st.from_regex(r"/?[A-Za-z0-9_/]{0,70}", fullmatch=True)))
@@ -41,11 +43,6 @@ def test_what_is_no_namespace_is_refused(text: str) -> None:
         ros_namespace(text)
     with pytest.raises(ConfigurationError, match=re.escape(f"namespace '{text[:64]}")):
         checked(Settings, {"robot": "/r", "ros_domain_id": 1, "namespace": text})
-
-
-def test_rcl_would_refuse_some_of_them_only_when_the_node_starts() -> None:
-    with pytest.raises(InvalidNamespaceException):
-        validate_namespace("/2nd")
 
 
 def test_a_node_stands_in_the_namespace_with_its_frames_and_its_time() -> None:
@@ -95,16 +92,16 @@ def test_a_domain_is_shared_and_the_ports_that_go_with_one_are_not(tmp_path: Pat
 
 
 def test_peers_open_the_interfaces_by_which_they_are_reached(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(middleware, "interface", {"10.0.0.2": "10.0.0.1", "10.0.0.3": "10.0.0.1"}.__getitem__)
-    assert middleware.addresses(["10.0.0.2", "10.0.0.3", "10.0.0.2"]) == ("10.0.0.2", "10.0.0.3")
-    root = ElementTree.fromstring(middleware.profile(["10.0.0.2", "10.0.0.3"]))
+    monkeypatch.setattr(ros_domain, "interface", {"10.0.0.2": "10.0.0.1", "10.0.0.3": "10.0.0.1"}.__getitem__)
+    assert ros_domain.addresses(["10.0.0.2", "10.0.0.3", "10.0.0.2"]) == ("10.0.0.2", "10.0.0.3")
+    root = ElementTree.fromstring(ros_domain.peers_profile(["10.0.0.2", "10.0.0.3"]))
 
-    def told(name: str) -> list[str | None]:
+    def reported(name: str) -> list[str | None]:
         (element,) = root.iter(f"{{http://www.eprosima.com}}{name}")
         return [each.text for each in element.iter("{http://www.eprosima.com}address")]
 
-    assert told("interfaceWhiteList") == ["127.0.0.1", "10.0.0.1"]
-    assert told("initialPeersList") == ["127.0.0.1", "10.0.0.2", "10.0.0.3"]
+    assert reported("interfaceWhiteList") == ["127.0.0.1", "10.0.0.1"]
+    assert reported("initialPeersList") == ["127.0.0.1", "10.0.0.2", "10.0.0.3"]
 
 
 @pytest.mark.parametrize(
@@ -119,5 +116,96 @@ def test_peers_open_the_interfaces_by_which_they_are_reached(monkeypatch: pytest
 )
 def test_what_is_no_peer_is_refused(peer: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(words)) as error:
-        middleware.addresses([peer])
+        ros_domain.addresses([peer])
     assert "\n" not in str(error.value)
+
+
+# The ROS domain of an instance is exclusive on a computer.
+
+
+@given(st.text(), st.sets(st.sampled_from(list(DOMAINS))), st.sets(st.sampled_from(list(DOMAINS))))
+def test_a_free_domain_is_chosen(key: str, taken: set[int], busy: set[int]) -> None:
+    if len(taken | busy) == len(DOMAINS):
+        with pytest.raises(ValorError, match="no free ROS domain"):
+            choose(key, taken, lambda domain: domain not in busy)
+        return
+    domain = choose(key, taken, lambda domain: domain not in busy)
+    assert domain in DOMAINS
+    assert domain not in taken | busy
+    assert domain == choose(key, taken, lambda domain: domain not in busy)
+
+
+def test_an_instance_retakes_its_domain_from_ros_clients_but_not_from_instances() -> None:
+    with ros_domain.reserve("test") as reservation:
+        domain = reservation.domain
+        with pytest.raises(ValorError, match=f"ROS domain {domain} is another instance's"):
+            ros_domain.retake(domain)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        participant.bind(("127.0.0.1", discovery_port(domain)))
+        assert not is_free(domain)
+        with ros_domain.retake(domain) as again:
+            assert again.domain == domain
+            assert is_reserved(domain)
+    assert is_free(domain)
+
+
+def test_ports_of_domains_are_disjoint_and_not_ephemeral() -> None:
+    ports = [port for domain in (0, *DOMAINS) for port in daemon_ports(domain)]
+    assert len(set(ports)) == len(ports)
+    assert max(ports) < 32768
+
+
+def test_domains_of_other_instances_are_taken(tmp_path: Path) -> None:
+    for name, content in (("a", '{"ros_domain_id": 5}'), ("b", '{"ros_domain_id": 6}'), ("c", "garbage")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "instance.json").write_text(content)
+    assert ros_domain.taken(tmp_path, but=Instance("b", tmp_path)) == {5}
+
+
+def test_a_process_that_inherits_a_reservation_holds_the_domain(tmp_path: Path) -> None:
+    with ros_domain.reserve_for(Instance("x", tmp_path)) as reservation:
+        heir = subprocess.Popen(["sleep", "60"], stdin=reservation.fileno())
+    try:
+        assert is_reserved(reservation.domain)
+        with ros_domain.reserve_for(Instance("x", tmp_path)) as other:
+            assert other.domain != reservation.domain
+    finally:
+        heir.kill()
+        heir.wait()
+    assert not is_reserved(reservation.domain)
+
+
+# What is let through to /rosout, and what stands for the rest.
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_the_same_line_passes_seldom_a_kind_more_often_and_no_flood_at_all() -> None:
+    clock = Clock()
+    sieve = Sieve(clock)
+    assert sum(sieve.passes("kind", "text") for _ in range(1000)) == Sieve.ALIKE
+    assert sum(sieve.passes("kind", str(i)) for i in range(1000)) == Sieve.OF_A_KIND - Sieve.ALIKE
+    assert sum(sieve.passes(str(i), "text") for i in range(1000)) == Sieve.IN_ALL - Sieve.OF_A_KIND
+    assert sieve.omitted() == 3000 - Sieve.IN_ALL and sieve.omitted() == 0
+    clock.now += Sieve.WINDOW
+    assert sieve.passes("kind", "text")
+
+
+def test_however_long_a_flood_lasts_it_is_bounded_in_lines_and_memory() -> None:
+    clock, seconds = Clock(), 20
+    sieve = Sieve(clock)
+    passed = 0
+    for i in itertools.count():
+        clock.now = 100.0 + i / 500
+        if clock.now >= 100.0 + seconds:
+            break
+        passed += sieve.passes(i, str(i))
+        assert len(sieve._seen) <= 4 * Sieve.IN_ALL
+    assert passed <= Sieve.IN_ALL * (seconds + 1)
+    assert passed + sieve.omitted() == i

@@ -9,17 +9,18 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
-from valor.comms_manager.hardware.can_port import CanPort
+from valor.comms_manager.hardware.can_device import CanPort
 from valor.comms_manager.hardware.device import DeviceContext, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.series_elastic import JUMPS_TO_FAULT, SeriesElastic
 from valor.devices import can_frames
-from valor.devices.can_frames import Status
-from valor.devices.end_to_end import protect
+from valor.devices.can_frames import Status, is_valid, protect
 from valor.devices.table import SeaCanFd
 from valor.robot.description import RobotDescription
 
@@ -66,7 +67,6 @@ class Bench:
         return self.driver.joint_state
 
     def commands(self) -> dict[int, np.void]:
-        """What the far end was told, by controller."""
         told = {}
         while (message := self.far.recv(0.0)) is not None:
             if message.arbitration_id & can_frames.KIND == can_frames.COMMAND:
@@ -143,7 +143,7 @@ def test_what_was_not_answered_keeps_its_last_state_and_stamp(bench: Bench) -> N
     assert second.position[0] == pytest.approx(0.01, abs=1e-6)
 
 
-def test_an_encoder_that_jumps_is_not_believed_and_its_joint_held_by_what_it_says(bench: Bench) -> None:
+def test_an_encoder_that_jumps_is_not_accepted_and_its_joint_held_by_what_it_says(bench: Bench) -> None:
     knee = NAMES.index("l_knee_pitch")
     bench.exchange(OFFSET)
     jumped = OFFSET.copy()
@@ -151,9 +151,9 @@ def test_an_encoder_that_jumps_is_not_believed_and_its_joint_held_by_what_it_say
     for attempt in range(JUMPS_TO_FAULT + 2):
         measured = bench.exchange(jumped)
         assert measured.position[knee] == pytest.approx(0.0, abs=1e-6), attempt
-    (ailment,) = bench.driver.ailments
-    assert (ailment.unit, ailment.fault) == ("2", Fault.ENCODER)
-    assert "l_knee_pitch" in ailment.detail
+    (unit_fault,) = bench.driver.unit_faults
+    assert (unit_fault.unit, unit_fault.fault) == ("2", Fault.ENCODER)
+    assert "l_knee_pitch" in unit_fault.detail
     bench.driver.command = command(JointMode.FORCE)
     bench.driver._send_command()
     told = bench.commands()
@@ -162,7 +162,7 @@ def test_an_encoder_that_jumps_is_not_believed_and_its_joint_held_by_what_it_say
     assert told[2]["axis"][1]["effort"] == 0.0
     assert told[2]["mode"][0] == JointMode.FORCE, "its other axis goes on"
     bench.exchange(OFFSET)
-    assert bench.driver.ailments, "once it has jumped, it is believed no more"
+    assert bench.driver.unit_faults, "once it has jumped, it is believed no more"
 
 
 def test_one_wild_position_is_skipped(bench: Bench) -> None:
@@ -172,7 +172,7 @@ def test_one_wild_position_is_skipped(bench: Bench) -> None:
     bench.exchange(wild)
     measured = bench.exchange(OFFSET)
     assert measured.position[0] == pytest.approx(0.0, abs=1e-6)
-    assert not bench.driver.ailments
+    assert not bench.driver.unit_faults
     assert bench.driver.records[0].errors == 1
 
 
@@ -181,17 +181,34 @@ def test_a_controller_without_power_is_switched_on_again_only_where_that_moves_n
     bench.exchange(OFFSET)
     for _ in range(2):
         bench.exchange(OFFSET, status=0)
-    assert {ailment.fault for ailment in bench.driver.ailments} == {Fault.DISABLED}
-    asked = [unit.known for unit in bench.driver._controllers.values()]
+    assert {unit_fault.fault for unit_fault in bench.driver.unit_faults} == {Fault.DISABLED}
+    asked = [unit.identified for unit in bench.driver._controllers.values()]
     assert not any(asked), "who they are is asked again first"
     for unit in bench.driver._controllers.values():
-        unit.known = True
+        unit.identified = True
     far = command(JointMode.POSITION)
     bench.driver.command = far
-    bench.driver._tend()
+    bench.driver._attend()
     requests = [m for m in iter(lambda: bench.far.recv(0.0), None) if m.arbitration_id & 0x780 == can_frames.REQUEST]
     assert {m.arbitration_id & can_frames.UNIT for m in requests} == set(), "their set-points are far away"
     bench.driver.command = command(JointMode.OFF)
-    bench.driver._tend()
+    bench.driver._attend()
     requests = [m for m in iter(lambda: bench.far.recv(0.0), None) if m.arbitration_id & 0x780 == can_frames.REQUEST]
     assert {m.arbitration_id & can_frames.UNIT for m in requests} == set(bench.driver._controllers)
+
+
+@given(st.integers(1, 63), st.binary(min_size=2, max_size=60), st.data())
+def test_a_frame_with_one_wrong_byte_is_rejected(unit: int, content: bytes, data: st.DataObject) -> None:
+    frame = bytearray(protect(can_frames.STATE + unit, content))
+    assert is_valid(can_frames.STATE + unit, frame)
+    place = data.draw(st.integers(0, len(frame) - 1))
+    frame[place] ^= data.draw(st.integers(1, 255))
+    assert not is_valid(can_frames.STATE + unit, frame)
+
+
+def test_frames_have_lengths_that_can_fd_knows() -> None:
+    known = {*range(9), 12, 16, 20, 24, 32, 48, 64}
+    controller = can_frames.CONTROLLER_STATE.size + 2
+    sensor = can_frames.SENSOR_STATE.size + 2
+    assert (controller, sensor) == (can_frames.CONTROLLER_STATE_LENGTH, can_frames.SENSOR_STATE_LENGTH)
+    assert {controller, sensor, can_frames.COMMAND_LENGTH, can_frames.REPLY_LENGTH} <= known

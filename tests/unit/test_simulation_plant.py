@@ -1,7 +1,5 @@
 """The simulated robot: errors from one seed, forces that add up, pushes that push."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from valor.common.messages import JointMode, Motor, Proprioceptor
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.robot.tables import SensorNoise
-from valor.simulation.gears import Gears
 from valor.simulation.plant import Plant, SimulationDivergedError, scene
 from valor.simulation.sensors import Sensors
 
@@ -31,7 +28,6 @@ def sensors(of: Plant, profile: str = "ideal", seed: int = 0) -> Sensors:
 
 
 def stand(robot: Plant) -> None:
-    """Command the nominal posture on the joints' own servos."""
     zero = np.zeros(N)
     modes = np.full(N, JointMode.POSITION, dtype=np.uint8)
     robot.actuators.obey(
@@ -41,7 +37,6 @@ def stand(robot: Plant) -> None:
 
 
 def run(profile: str, seed: int, periods: int, look: bool = False) -> list[Proprioceptor]:
-    """Measurements of a standing robot."""
     robot = plant(profile, seed)
     devices = sensors(robot, profile, seed)
     stand(robot)
@@ -57,15 +52,11 @@ def run(profile: str, seed: int, periods: int, look: bool = False) -> list[Propr
 
 def test_one_seed_repeats_bit_for_bit_and_another_does_not() -> None:
     first, again, other = run("hardware", 3, 200), run("hardware", 3, 200), run("hardware", 4, 200)
-    assert first == again
+    assert first == again == run("hardware", 3, 200, look=True), "also if the truth is read meanwhile"
     assert first != other
 
 
-def test_looking_at_the_truth_changes_nothing() -> None:
-    assert run("hardware", 3, 200) == run("hardware", 3, 200, look=True)
-
-
-def test_the_hardware_plant_differs_from_the_controllers_model_by_at_most_what_the_profile_says() -> None:
+def test_the_hardware_plant_differs_from_the_controllers_model_by_at_most_what_the_profile_states() -> None:
     mj = plant("hardware").model.mj
     profile = ROBOT.tables.actuators["hardware"]
     ratios = [mj.body(NOMINAL.mj.body(i).name).mass[0] / NOMINAL.mj.body_mass[i] for i in range(1, NOMINAL.mj.nbody)]
@@ -78,22 +69,6 @@ def test_the_hardware_plant_differs_from_the_controllers_model_by_at_most_what_t
     np.testing.assert_array_equal(friction, expected)
     assert friction[ROBOT.index["l_knee_pitch"]] == profile.friction
     assert friction[ROBOT.index["l_thumb_roll"]] < 0.1
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_the_stretched_hdt_arms_have_seven_centimetres_of_play_at_the_gripper(side: str) -> None:
-    data, arm = mujoco.MjData(NOMINAL.mj), ROBOT.group_indices(f"{side}_arm")
-    posture = ROBOT.nominal_posture.copy()
-    posture[arm] = 0.0
-    posture[ROBOT.index[f"{side[0]}_shoulder_pitch"]] = -0.5 * np.pi  # forearms are forward in the zero pose
-    posture[ROBOT.index[f"{side[0]}_elbow_pitch"]] = 0.5 * np.pi
-    data.qpos[3], data.qpos[NOMINAL.qpos] = 1.0, posture
-    mujoco.mj_forward(NOMINAL.mj, data)
-    jacobian = np.zeros((3, NOMINAL.mj.nv))
-    mujoco.mj_jacSite(NOMINAL.mj, data, jacobian, None, NOMINAL.site(f"{side[0]}_gripper"))
-    vertical = np.abs(jacobian[2, NOMINAL.dof][arm])
-    play = 2.0 * Gears.of(ROBOT, ROBOT.tables.actuators["hdt_arms"]).half_backlash[arm]
-    assert vertical @ play == pytest.approx(0.07, abs=0.004)
 
 
 def test_the_hdt_arms_sag_and_the_sick_wrist_stays() -> None:
@@ -164,6 +139,7 @@ def test_foot_wrenches_balance_the_robots_momentum() -> None:
             measured += data.site(sole).xmat.reshape(3, 3) @ wrench[:3]
         expected = acceleration - (0.0, force, -mass * GRAVITY)
         np.testing.assert_allclose(measured, expected, atol=0.01 * mass * GRAVITY)
+    assert not robot.pushed
 
 
 def momentum(robot: Plant) -> np.ndarray:
@@ -176,22 +152,6 @@ def momentum(robot: Plant) -> np.ndarray:
     mujoco.mj_subtreeVel(mj, scratch)
     momentum: np.ndarray = mj.body_mass.sum() * scratch.subtree_linvel[robot.model.body("pelvis")]
     return momentum
-
-
-def test_a_push_in_the_air_gives_its_impulse() -> None:
-    robot = plant("ideal")
-    robot.data.qpos[2] += 2.0
-    impulse, duration = np.array([30.0, -20.0, 10.0]), 0.1
-    before = momentum(robot)
-    robot.push(impulse, duration)
-    assert robot.pushed
-    robot.step(round(duration / robot.step_time))
-    assert not robot.pushed
-    weight = robot.model.mj.body_mass.sum() * GRAVITY
-    np.testing.assert_allclose(momentum(robot) - before, impulse - (0, 0, weight * duration), rtol=1e-3, atol=1e-2)
-    robot.step(10)
-    after = momentum(robot)
-    np.testing.assert_allclose(after[:2] - before[:2], impulse[:2], rtol=1e-2)
 
 
 def test_noise_has_the_deviation_of_its_table() -> None:
@@ -231,28 +191,6 @@ def test_encoders_have_a_resolution_and_the_imu_a_bias() -> None:
     assert abs(tilt[2]) < 0.01
 
 
-def test_measurements_do_not_change_afterwards() -> None:
-    robot = plant("hardware")
-    devices = sensors(robot, "hardware")
-    stand(robot)
-    first = devices.measure(1, 1)
-    kept = first.joint_position.copy(), first.left_foot_wrench.copy(), first.imu_orientation.copy()
-    robot.step(50)
-    devices.measure(2, 2)
-    for now, then in zip((first.joint_position, first.left_foot_wrench, first.imu_orientation), kept, strict=True):
-        np.testing.assert_array_equal(now, then)
-
-
-def test_a_robot_without_commands_falls_and_lies_on_the_floor() -> None:
-    robot = plant("ideal")
-    robot.data.qvel[0] = 0.5
-    robot.step(5000)
-    mujoco.mj_forward(robot.model.mj, robot.data)
-    assert robot.data.qpos[2] < 0.4
-    assert (robot.data.xipos[1:, 2] > -0.02).all(), "a body's CoM is below the floor"
-    assert np.abs(robot.data.qvel).max() < 5.0
-
-
 def test_divergence_is_an_error_not_a_reset() -> None:
     robot = plant("ideal")
     robot.data.qvel[10] = np.nan
@@ -260,7 +198,7 @@ def test_divergence_is_an_error_not_a_reset() -> None:
         robot.step(2)
 
 
-def test_unknown_worlds_and_profiles_are_refused_by_name() -> None:
+def test_unknown_worlds_and_profiles_are_rejected_by_name() -> None:
     with pytest.raises(ConfigurationError, match="world 'moon': expected one of flat"):
         scene(ROBOT, "moon", 0, "collision")
     with pytest.raises(ConfigurationError, match=r"actuators 'perfect'.*ideal, hardware"):

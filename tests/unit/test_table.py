@@ -1,6 +1,4 @@
-"""What stands in a file is checked when it is read; a complaint names file, key and what was expected, in one line."""
-
-from __future__ import annotations
+"""Tables: values are checked when read; an error names file, key and expectation in one line."""
 
 import math
 import re
@@ -70,43 +68,26 @@ def test_values_are_taken_as_their_types_and_given_back() -> None:
     [
         ({"joints": {"hip": HIP, "knee": {"limit": 0}}}, "joints.knee.limit", "expected float > 0.0, got 0"),
         ({"joints": {"hip": HIP, "knee": {"limit": "12"}}}, "joints.knee.limit", "expected float, got '12'"),
-        ({"joints": {"hip": HIP, "knee": {"limit": True}}}, "joints.knee.limit", "expected float, got True"),
         ({"joints": {"hip": HIP, "knee": {}}}, "joints.knee.limit", "expected, but missing"),
         ({"joints": {"hip": HIP, "knee": None}}, "joints.knee", "expected a mapping, got nothing"),
-        ({"joints": {"hip": HIP, "knee": KNEE | {"toe": 1}}}, "joints.knee.toe", "unknown key"),
         ({"joints": {"knee": KNEE | {"gain": 1}}}, "joints.knee.gain", "unknown key; did you mean 'gains'?"),
-        (
-            {"joints": {"hip": HIP | {"gains": {"p": 1, "d": -1}}}},
-            "joints.hip.gains.d",
-            "expected float >= 0.0, got -1",
-        ),
         ({"joints": {"knee": KNEE | {"mode": "magic"}}}, "joints.knee.mode", "expected force or position, got 'magic'"),
         ({"joints": {"knee": KNEE | {"rate": 7}}}, "joints.knee.rate", "expected float >= 100.0 Hz, got 7"),
-        ({"spare": [KNEE | {"rate": 5000.0}]}, "spare.0.rate", "expected float <= 1000.0 Hz, got 5000.0"),
-        ({"joints": {"knee": KNEE | {"rate": "7"}}}, "joints.knee.rate", "expected float or nothing, got '7'"),
         ({"joints": {"knee": {"limit": math.nan}}}, "joints.knee.limit", "expected a finite number, got nan"),
-        ({"spare": [KNEE, {"limit": -1}]}, "spare.1.limit", "expected float > 0.0, got -1"),
         ({"spare": KNEE}, "spare", "expected a list, got a mapping"),
         ({"sides": {"left": 1, "up": 2}}, "sides", "expected left or right, got 'up'"),
         ({"drive": "steam"}, "drive", "expected harmonic or sea, got 'steam'"),
         ({"folder": 7}, "folder", "expected a path, got 7"),
-        ({"name": "knee"}, "name", "knee is a joint's"),
         ({"spare": [KNEE, KNEE | {"mode": "force", "limit": 99}]}, "spare.1.limit", "too much for force"),
-        ({"arms": 2}, "arms", "unknown key"),
         (
             {"devices": {"a": {"kind": "camera"}, "b": {"kind": "sonar"}}},
             "devices.b.kind",
             "expected camera or lidar, got 'sonar'",
         ),
         ({"devices": {"a": {"kind": "camera"}, "b": {"rate": 1}}}, "devices.b.kind", "expected, but missing"),
-        (
-            {"devices": {"a": {"kind": "camera"}, "b": {"kind": "lidar", "rate": 0}}},
-            "devices.b.rate",
-            "expected float > 0.0, got 0",
-        ),
     ],
 )
-def test_what_is_wrong_is_named_to_the_key(change: dict[str, Any], key: str, what: str) -> None:
+def test_errors_name_the_key(change: dict[str, Any], key: str, what: str) -> None:
     content = GOOD | change
     before = repr(content)
     with pytest.raises(TableError) as refused:
@@ -123,7 +104,7 @@ json = st.recursive(
 
 
 @given(st.dictionaries(st.sampled_from(["name", "joints", "spare", "sides", "folder", "drive"]), json) | json)
-def test_nonsense_is_a_table_or_an_error_and_never_anything_else(content: object) -> None:
+def test_any_content_gives_a_table_or_an_error(content: object) -> None:
     try:
         assert isinstance(checked(Robot, content), Robot)
     except TableError as error:
@@ -144,7 +125,7 @@ def test_nonsense_is_a_table_or_an_error_and_never_anything_else(content: object
 def test_a_file_that_cannot_be_read_is_named_in_one_line(tmp_path: Path, text: bytes, words: str) -> None:
     file = tmp_path / "robot.yaml"
     file.write_bytes(text)
-    for wrong, told in ((file, words), (tmp_path / "none.yaml", "No such file")):
-        with pytest.raises(ConfigurationError, match=re.escape(told)) as refused:
+    for wrong, reported in ((file, words), (tmp_path / "none.yaml", "No such file")):
+        with pytest.raises(ConfigurationError, match=re.escape(reported)) as refused:
             read(Robot, wrong)
         assert str(wrong) in str(refused.value) and "\n" not in str(refused.value)

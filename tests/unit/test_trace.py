@@ -1,20 +1,19 @@
-"""A service's marks over a real Bifrost network: off until somebody listens, on while somebody does."""
-
-from __future__ import annotations
+"""Marks of a service over a real Bifrost network, and the Chrome trace made of them."""
 
 import gc
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import bifrost
 from harness.bifrost_network import BifrostNetwork, until
-from valor.analysis.lanes import Lane
 from valor.common import trace as trace_module
 from valor.common.trace import Stage, Trace, Tracer, topic
-from valor.valorctl.ros_domain import daemon_ports
+from valor.valorctl.instance.ros_domain import daemon_ports
+from valor.valorctl.status.trace_verbs import chrome_events
 
 
 @pytest.fixture
@@ -34,7 +33,7 @@ def turn(tracer: Tracer, sequence: int) -> None:
     tracer.cycle()
 
 
-def test_marks_come_while_somebody_listens_and_only_then(
+def test_marks_are_published_only_while_there_is_a_subscriber(
     network: bifrost.Network, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trace_module, "FLUSH_PERIOD", 0.02)
@@ -46,34 +45,58 @@ def test_marks_come_while_somebody_listens_and_only_then(
         assert not published.peers
         marks = gc.callbacks.copy()
         subscriber = listener.subscriber(topic("service"), Trace, queue=1000)
-        heard: list[Trace] = []
+        arrived: list[Trace] = []
         sequence = 20
 
-        def goes_on() -> bool:
+        def more() -> bool:
             nonlocal sequence
             turn(tracer, sequence)
             sequence += 1
             gc.collect(0)
-            heard.extend(received.message for received in subscriber.drain())
-            return len(heard) >= 3
+            arrived.extend(received.message for received in subscriber.drain())
+            return len(arrived) >= 3
 
-        until(goes_on, "three messages")
-        lane = Lane.of("service", heard)
-        sent = lane.sequence[lane.stages == Stage.SEND_MOTOR]
-        assert list(sent) == list(range(int(sent[0]), int(sent[0]) + len(sent)))  # none is missing
+        until(more, "three messages")
+        events = [event for event in chrome_events("service", 1, arrived) if event["ph"] == "X"]
+        sent = [event["args"]["proprioceptor"] for event in events if event["name"] == "send motor"]
+        assert sent == list(range(sent[0], sent[0] + len(sent)))  # none is missing
         assert sent[0] >= 20
-        assert (lane.end >= lane.start).all()
-        slept, worked = lane.stages == Stage.AWAIT, lane.stages == Stage.SEND_MOTOR
-        assert lane.cpu[slept].sum() < lane.cpu[worked].sum()
-        assert lane.collected.size
-        assert (lane.collected[:, 1] >= lane.collected[:, 0]).all()
-        assert (lane.waited[1:] >= lane.waited[:-1]).all()
-        assert lane.cost > 0.0
+        used = {
+            name: sum(event["args"]["cpu_us"] for event in events if event["name"] == name)
+            for name in ("await", "send motor")
+        }
+        assert used["await"] < used["send motor"]
+        assert any(event["name"] == "collect" for event in events)
+        assert all(event["dur"] >= 0.0 for event in events)
         subscriber.close()
 
-        def silent() -> bool:
+        def off() -> bool:
             turn(tracer, 0)
             return gc.callbacks == marks
 
-        until(silent, "tracing ends with its listener")
+        until(off, "tracing ends with its subscriber")
         until(lambda: not published.peers, "its publisher is gone")
+
+
+def test_the_chrome_trace_has_a_slice_per_stage_across_messages() -> None:
+    def message(*rows: tuple[Stage, float, float, float]) -> Trace:
+        stages, at, cpu, sequence = np.array(rows, dtype=float).T.copy()
+        return Trace("motion_manager", stages.astype(np.uint8), at, cpu, sequence)
+
+    traces = [
+        message((Stage.AWAIT, 1.0, 0.5, 0.0), (Stage.CONTROL, 1.002, 0.501, 0.0), (Stage.COLLECT, 1.0025, 1.0021, 0.0)),
+        message((Stage.SEND_MOTOR, 1.003, 0.5015, 7.0)),
+    ]
+    events = list(chrome_events("motion_manager", 2, traces))
+    assert [event["args"]["name"] for event in events if event["ph"] == "M"] == [
+        "motion_manager", "loop", "garbage collector",
+    ]  # fmt: skip
+    slices = [event for event in events if event["ph"] == "X"]
+    assert [(event["name"], event["tid"], event["ts"], event["dur"]) for event in slices] == [
+        ("control", 1, 1_000_000.0, 2_000.0),
+        ("collect", 2, 1_002_100.0, 400.0),
+        ("send motor", 1, 1_002_000.0, 1_000.0),
+    ]
+    assert slices[0]["args"] == {"cpu_us": 1000.0}
+    assert slices[2]["args"] == {"cpu_us": 500.0, "proprioceptor": 7}
+    assert {event["pid"] for event in events} == {2}

@@ -1,6 +1,4 @@
-"""Where frames are: chains there and back, in time, and stated errors where it cannot be said."""
-
-from __future__ import annotations
+"""Lookups of transforms: chains, interpolation in time, errors."""
 
 import math
 
@@ -94,10 +92,10 @@ def test_between_times_and_newest(buffer: TransformBuffer) -> None:
 @pytest.mark.parametrize(
     ("target", "source", "time", "error", "text"),
     [
-        ("odom", "moon", 0, TransformError, "frame 'moon' is not known"),
-        ("moon", "odom", 0, TransformError, "frame 'moon' is not known"),
+        ("odom", "moon", 0, TransformError, "frame 'moon' is unknown"),
+        ("moon", "odom", 0, TransformError, "frame 'moon' is unknown"),
         ("odom", "island", 0, TransformError, "'island' and 'odom' are not connected"),
-        ("odom", "base", 112 * SECOND, TooNewError, "112.000 s is 2.000 s ahead of the newest"),
+        ("odom", "base", 112 * SECOND, TooNewError, "112.000 s is 2.000 s ahead of the latest"),
         ("odom", "base", 104 * SECOND, TransformError, "104.000 s is 1.000 s before the oldest"),
         ("odom", "foot", 108 * SECOND, TransformError, "1.000 s before the oldest"),
         ("odom", "a", 0, TransformError, "go in a circle"),

@@ -1,6 +1,4 @@
-"""What `up` prepares: supervisord's configuration, the order of start, the ROS domain, the profile, the settings."""
-
-from __future__ import annotations
+"""Preparation by `up`: supervisord's configuration, order of start, ROS domain, profile, settings."""
 
 import configparser
 import shlex
@@ -14,23 +12,19 @@ import yaml
 from harness.places import REPOSITORY
 from valor.common import resources
 from valor.common.errors import ConfigurationError, ValorError
-from valor.common.instance import Instance, Settings
+from valor.common.instance import Host, Instance, Link, Settings
+from valor.common.linking import behind
 from valor.common.processes import DAEMON, EXIT_CONFIGURATION, PROCESSES, SUPERVISED, Process
 from valor.robot.description import RobotDescription
-from valor.valorctl import instance_setup, supervisor_config
-from valor.valorctl.instance_setup import Request
-from valor.valorctl.profile import Profile
-from valor.valorctl.startup import free
-
-
-def rendered() -> configparser.RawConfigParser:
-    parser = configparser.RawConfigParser(inline_comment_prefixes=(";", "#"))
-    parser.read_string(supervisor_config.render(PROCESSES))
-    return parser
+from valor.valorctl.instance import instance_setup, supervisor_config
+from valor.valorctl.instance.instance_setup import Request
+from valor.valorctl.instance.profile import Profile
+from valor.valorctl.instance.startup import free
 
 
 def test_every_row_of_the_process_table_becomes_a_program() -> None:
-    parser = rendered()
+    parser = configparser.RawConfigParser(inline_comment_prefixes=(";", "#"))
+    parser.read_string(supervisor_config.render(PROCESSES))
     for process in PROCESSES:
         program = parser[f"program:{process.name}"]
         assert shlex.split(program["command"])[-2:] == ["-m", process.module]
@@ -38,13 +32,8 @@ def test_every_row_of_the_process_table_becomes_a_program() -> None:
         assert program["autorestart"] == "unexpected"
         assert program["stopasgroup"] == program["killasgroup"] == "true"
         assert int(program["stopwaitsecs"]) >= process.stop_timeout - 0.5
-        assert program["redirect_stderr"] == "true"
-        assert program["stdout_logfile"].endswith(f"/logs/{process.name}.log")
+    assert "inet_http_server" not in parser.sections()  # listens on no network
     assert len([name for name in parser.sections() if name.startswith("program:")]) == len(PROCESSES)
-
-
-def test_supervisord_listens_on_no_network() -> None:
-    assert "inet_http_server" not in rendered().sections()
 
 
 def test_processes_get_one_thread_each_and_the_instance(tmp_path: Path) -> None:
@@ -58,7 +47,7 @@ def test_processes_get_one_thread_each_and_the_instance(tmp_path: Path) -> None:
     assert SUPERVISED not in instance.environment()
 
 
-def test_a_home_too_long_for_a_socket_is_refused_before_anything_happens(tmp_path: Path) -> None:
+def test_a_home_too_long_for_a_socket_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="shorter VALOR_HOME"):
         supervisor_config.socket_file(Instance("x", tmp_path / ("d" * 100)))
 
@@ -71,16 +60,13 @@ def names(processes: Iterable[Process]) -> list[str]:
     return [each.name for each in processes]
 
 
-def test_processes_start_as_soon_as_what_they_need_is_ready() -> None:
+def test_processes_start_after_those_they_need() -> None:
     table = [process("c", "b"), process(DAEMON), process("a"), process("b", "a"), process("d", "a")]
     present = names(table)
     assert names(free(table, [], present)) == [DAEMON]
     assert names(free(table, [DAEMON], present)) == [DAEMON, "a"]
     assert names(free(table, [DAEMON, "a"], present)) == [DAEMON, "a", "b", "d"]
     assert names(free(table, [DAEMON, "a", "b"], present)) == present
-
-
-def test_a_process_waits_for_others_where_the_profile_has_them() -> None:
     late = process("late", "early")
     assert names(free([late], [DAEMON], ["late", "early"])) == []
     assert names(free([late], [DAEMON, "early"], ["late", "early"])) == ["late"]
@@ -88,8 +74,8 @@ def test_a_process_waits_for_others_where_the_profile_has_them() -> None:
 
 
 @pytest.mark.parametrize("profile", sorted(file.stem for file in (REPOSITORY / "deploy").glob("*.yaml")))
-def test_every_process_of_a_profile_starts_some_time(profile: str) -> None:
-    table = Profile.load(resources.profile_file(profile)).table
+def test_every_process_of_a_profile_can_start(profile: str) -> None:
+    table = Profile.load(resources.file_of("profile", profile)).table
     present, ready = names(table), list[str]()
     while len(ready) < len(table):
         able = names(free(table, ready, present))
@@ -97,7 +83,7 @@ def test_every_process_of_a_profile_starts_some_time(profile: str) -> None:
         ready = able
 
 
-def test_processes_for_devices_that_the_robot_does_not_have_are_left_out() -> None:
+def test_processes_of_absent_devices_are_omitted() -> None:
     profile = Profile(
         description="", variant="hardware", processes=("bifrostd", "hdt_driver", "hdt_bridge", "comms_manager")
     )
@@ -107,30 +93,13 @@ def test_processes_for_devices_that_the_robot_does_not_have_are_left_out() -> No
     assert profile.suiting(RobotDescription(escher.folder, tables)).processes == ("bifrostd", "comms_manager")
 
 
-def test_the_profiles_that_come_with_us_are_valid() -> None:
-    files = sorted((Path(resources.profile_file("sim"))).parent.glob("*.yaml"))
-    assert [file.stem for file in files] == ["bifrost", "hardware", "motion_system", "sim"]
-    daemon, hardware, motion_system, simulation = (Profile.load(file) for file in files)
-    assert hardware.initial_mode == simulation.initial_mode == "stand"
-    assert [p.name for p in hardware.table] == [p.name for p in PROCESSES if not p.option]
-    assert {p.name for p in hardware.table} - {p.name for p in simulation.table} == {
-        "device_emulators", "hdt_driver", "hdt_bridge",
-    }  # fmt: skip
-    assert (hardware.variant, simulation.variant) == ("hardware", "simulation")
-    assert [p.name for p in motion_system.table] == ["bifrostd", "comms_manager", "motion_manager"]
-    assert daemon.initial_mode is motion_system.initial_mode is None
-    assert [p.name for p in daemon.table] == ["bifrostd"]
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"processes": ["bifrostd", "motion_master"]}, "motion_master"),
         ({"processes": ["comms_manager"]}, "comms_manager needs bifrostd"),
         ({"processes": []}, "processes"),
-        ({"initial_posture": "stand"}, "initial_posture"),
         ({"defaults": {"clock": "sundial"}}, "defaults.clock"),
-        ({"defaults": {"real_time_factor": -1}}, "defaults.real_time_factor"),
         ({"defaults": {"bag_bound": ["5 parsecs"]}}, "defaults.bag_bound 5 parsecs: expected a size"),
     ],
 )
@@ -143,7 +112,7 @@ def test_a_wrong_profile_names_file_and_key(tmp_path: Path, change: dict[str, ob
     assert "\n" not in str(caught.value)
 
 
-def test_options_go_before_the_profile() -> None:
+def test_options_have_precedence_over_the_profile() -> None:
     plan = instance_setup.plan(Request(clock="realtime", seed=7, real_time_factor=0.0, initial_mode=""))
     assert (plan.settings.clock, plan.settings.seed, plan.settings.real_time_factor) == ("realtime", 7, 0.0)
     assert (plan.settings.actuators, plan.settings.robot) == ("hardware", resources.robot_folder("escher"))
@@ -155,7 +124,6 @@ def test_options_go_before_the_profile() -> None:
     [
         (Request(profile="moon"), "profile 'moon'.*sim"),
         (Request(robot="atlas"), "robot 'atlas'.*escher"),
-        (Request(robot="/nowhere"), "robot '/nowhere'"),
         (Request(actuators="magic"), "--actuators 'magic'.*ideal"),
         (Request(world="moon"), "--world 'moon'.*flat, dirt, stairs, stairs_15cm, rubble"),
         (Request(bag=Path("/")), "--bag"),
@@ -163,12 +131,12 @@ def test_options_go_before_the_profile() -> None:
         (Request(bag_bound=("none", "5GB")), "--bag-bound none 5GB: expected none by itself"),
     ],
 )
-def test_what_is_unknown_is_refused_with_the_known(request_: Request, words: str) -> None:
+def test_unknown_names_are_rejected_with_the_valid_ones(request_: Request, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
         instance_setup.plan(request_)
 
 
-def test_only_one_may_change_an_instance(tmp_path: Path) -> None:
+def test_one_process_at_a_time_changes_an_instance(tmp_path: Path) -> None:
     instance = Instance("x", tmp_path)
     with instance_setup.changing(instance):
         with pytest.raises(ValorError, match="another valorctl"), instance_setup.changing(instance):
@@ -177,3 +145,15 @@ def test_only_one_may_change_an_instance(tmp_path: Path) -> None:
             pass
     with instance_setup.changing(instance):
         pass
+
+
+def test_the_page_is_served_on_both_sides_of_a_link() -> None:
+    for domain in (None, 77):
+        request = Request(view=True, link=Link(domain=domain))
+        plan = instance_setup.plan(request)
+        assert "operator_station" in plan.profile.processes
+        assert {"operator_stop", "operator_station"} <= set(plan.profile.processes)
+    hosts = (Host(name="motion", address="10.0.0.1"), Host(name="desk", address="10.0.0.2", operator=True))
+    linked = msgspec.structs.replace(plan.settings, hosts=hosts)
+    assert behind(msgspec.structs.replace(linked, here="desk"))
+    assert not behind(msgspec.structs.replace(linked, here="motion"))

@@ -15,16 +15,16 @@ from hypothesis import strategies as st
 
 from harness.examples import examples
 from harness.vrc_in_process import CONTROLLERS, MODES, PERIOD, ROBOT, System
+from tests.unit.test_vrc_joint_trajectory_controller import Client
 from valor.common import topics
 from valor.common.behaviors import Behavior, Locomotion
 from valor.common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint
 from valor.robot.commanded_limits import PELVIS_NAMES
-from valor.valor_ros_controller.controller_switch import Strictness
+from valor.valor_ros_controller.controller_manager import Strictness
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import MOVED
-from valor.valor_ros_controller.controllers.trajectory_goal import Outcome, TrajectoryRequest
+from valor.valor_ros_controller.controllers.trajectory_goal import TrajectoryRequest
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
-from valor.valor_ros_controller.trajectory.errors import InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.waypoints import Point
+from valor.valor_ros_controller.trajectory.waypoints import InvalidTrajectoryError, Point
 from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP
 
 ROUNDING = 1e-8  # [rad or m]
@@ -32,14 +32,6 @@ CYCLE = 2 * PERIOD * 1e-9  # [s]
 UPPER_BODY = np.array([not any(name in ROBOT.tables.groups[leg] for leg in ("left_leg", "right_leg"))
                        for name in ROBOT.joints])  # fmt: skip
 LEADERS = [*CONTROLLERS.joint_controllers, *CONTROLLERS.robot_controllers]
-
-
-class Goal:
-    """A client that waits and says nothing."""
-
-    def finish(self, outcome: Outcome) -> None: ...
-
-    def feedback(self, hw: Any) -> None: ...
 
 
 class Watched(System):
@@ -53,7 +45,7 @@ class Watched(System):
         self._last: dict[str, tuple[int, float]] = {}
         self._led: MotionState | None = None
         self.sent = self.moved = 0
-        self.goals: list[tuple[str, Goal]] = []
+        self.goals: list[tuple[str, Client]] = []
         for topic, hear in (
             (topics.JOINT_SETPOINTS, self._joints),
             (topics.PELVIS, self._pelvis),
@@ -109,7 +101,7 @@ class Watched(System):
             waypoints = check_waypoints(limits.names, points, limits)
         except InvalidTrajectoryError:
             return
-        goal = Goal() if waited_for else None
+        goal = Client() if waited_for else None
         now = controller.settings
         start = max(1, self.time + round(ahead * 1e9)) if ahead else 0
         controller.submit(TrajectoryRequest(waypoints, start, now.path, now.goal, now.goal_time, goal))

@@ -7,14 +7,13 @@ import pytest
 import yaml
 
 from harness.places import REPOSITORY
-from valor.common.behaviors import EMERGENCY_STOP, INTERNAL_STATES, Behavior
+from valor.common.behaviors import BEHAVIOR_TRANSITIONS, EMERGENCY_STOP, INTERNAL_STATES, Behavior
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
-from valor.motion_manager.states.transitions import BEHAVIOR_TRANSITIONS
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
-from valor.valor_ros_controller.trajectory.errors import ErrorCode
+from valor.valor_ros_controller.trajectory.waypoints import ErrorCode
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 TABLE = ControlModeTable.load()
@@ -58,17 +57,6 @@ def test_two_commands_lead_from_every_mode_to_each_that_may_follow(name: str) ->
         else:
             assert all(reachable(start, pair[0]) for start in starts), follower
         assert reachable(*pair), follower
-
-
-def test_the_second_command_is_the_base_or_its_manipulation_variant() -> None:
-    for name, mode in TABLE.modes.items():
-        if mode.motion:
-            base, variant = mode.motion
-            assert variant in (base, f"{base}_manipulate"), name
-            if mode.upper_body == 0:
-                assert variant == base, name
-            elif mode.upper_body == 1:
-                assert variant != base, name
 
 
 def test_controllers_of_a_mode_are_accepted_by_its_behavior() -> None:
@@ -131,7 +119,8 @@ def test_controllers_find_their_joints_in_every_robot(robot: str) -> None:
         (("modes", "stand", "motion"), ["hover", "hover"], ("modes.stand", "hover")),
         (("modes", "stand", "switch"), "slowly", ("modes.stand.switch",)),
         (("modes", "stand", "colour"), "red", ("modes.stand.colour",)),
-        (("behaviors", "fall"), "lost", ("lost",)),
+        (("behaviors", "fall"), "lost", ("behaviors", "lost")),
+        (("emergency_stop",), ["freeze", "brake"], ("emergency_stop", "brake")),
     ],
 )
 def test_a_wrong_table_is_refused_with_file_and_key(tmp_path: Path, key: str, value: Any, words: str) -> None:

@@ -11,46 +11,33 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
-import yaml
-from control_msgs.action import FollowJointTrajectory
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 
 import bifrost
 from harness.examples import examples
 from harness.instance import RunningInstance
 from harness.places import ROBOTS
-from harness.vrc_in_process import System
+from harness.vrc_in_process import SILENCE, System
 from harness.waiting import wait_until
 from tests.unit.test_robot_urdf import NAMES
 from tests.unit.test_vrc_joint_trajectory_controller import PERIOD, Arm, point
 from tests.unit.test_vrc_trajectory import LIMITS, NOW
-from valor.common.errors import ConfigurationError
-from valor.common.messages import BehaviorReply, BehaviorRequest, MotionState
-from valor.common.topics import BEHAVIOR, MOTION_STATE, STOP, ServiceTopic
+from valor.common import topics
+from valor.common.messages import BehaviorReply, BehaviorRequest, ClockStatus, MotionState
+from valor.common.topics import BEHAVIOR, STOP, ServiceTopic
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.robot.model_tree import read
-from valor.valor_ros_controller.behavior_commander import BehaviorCommander
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
-from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
-from valor.valor_ros_controller.controllers.footstep_controller import State
 from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
-from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.waypoints import Point
+from valor.valor_ros_controller.trajectory.waypoints import InvalidTrajectoryError, Point
+from valor.valor_ros_controller.valor_escher_interface import BehaviorCommander
 
 SECOND = 1_000_000_000
 THREE = ("shoulder", "elbow", "wrist")
-
-
-@pytest.mark.parametrize(
-    ("numbers", "interface"), [(ErrorCode, FollowJointTrajectory.Result), (State, ExecuteStepPlan.Feedback)]
-)
-def test_numbers_are_those_of_the_public_interface(numbers: Any, interface: type) -> None:
-    assert numbers.__members__ == {name: getattr(interface, name) for name in numbers.__members__}
 
 
 INF = np.full(3, np.inf)
@@ -69,7 +56,7 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position(order: int, s
         position, velocity, acceleration = (list(part) if i < order else [] for i, part in enumerate(state))
         points.append(Point(position, velocity, acceleration, [], 3.0 * (k + 1)))
     rest = np.zeros((3, 3))
-    trajectory = begin(check_waypoints(THREE, points, FREE), 0, NOW, rest, FREE)
+    trajectory = begin(check_waypoints(THREE, points, FREE), 0, NOW, rest, FREE, since=NOW)
     step = SECOND // 1000
     for at in (0.3, 1.1, 2.7, 3.5, 5.2, 8.4):
         time = NOW + round(at * SECOND)
@@ -78,23 +65,6 @@ def test_velocity_and_acceleration_are_the_derivatives_of_position(order: int, s
         before, here, after = (trajectory.at(time + shift) for shift in (-step, 0, step))
         for rate, value in ((here[1], 0), (here[2], 1)):
             np.testing.assert_allclose(rate, (after[value] - before[value]) / 2e-3, atol=2e-4)
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "words"),
-    [
-        ("emergency_stop", ["freeze", "brake"], r"unknown modes \['brake'\]"),
-        ("behaviors", {"fall": "fallen"}, r"unknown modes \['fallen'\]"),
-    ],
-)
-def test_a_table_that_names_what_is_not_there_is_refused(key: str, value: Any, words: str, tmp_path: Path) -> None:
-    table = yaml.safe_load(FILE.read_text())
-    if isinstance(value, dict):
-        value = table[key] | value
-    file = tmp_path / "control_modes.yaml"
-    file.write_text(yaml.safe_dump(table | {key: value}))
-    with pytest.raises(ConfigurationError, match=words):
-        ControlModeTable.load(file)
 
 
 def part(kind: str, shape: str, size: Any, position: Any, rotation: Any, color: Any) -> tuple[Any, ...]:
@@ -185,27 +155,32 @@ def test_the_pelvis_velocity_is_how_fast_the_pelvis_moves_in_robot_time(system: 
         changes = {"time": time, "pelvis_in_support": rate * period * 0.002}
         content = {name: getattr(newest, name) for name in MotionState.__struct_fields__} | changes
         interface._motion_state.publish(MotionState(**content))  # type: ignore[attr-defined]
-        interface.listen()
+        interface.poll()
     np.testing.assert_allclose(hw.velocity[hw.pelvis :], rate, rtol=0.02)
     np.testing.assert_allclose(hw.position[hw.pelvis :], rate * 399 * 0.002)
 
 
-def test_how_old_the_robots_word_is_is_told_in_seconds(system: System) -> None:
+def test_cycles_that_come_late_are_counted_and_another_robot_time_is_not(system: System) -> None:
     interface = system.vrc.interface
-    ages = interface.proprioceptor_age, interface.motion_state_age
-    system.clock += 7.5
-    assert interface.proprioceptor_age == pytest.approx(ages[0] + 7.5)
-    assert interface.motion_state_age == pytest.approx(ages[1] + 7.5)
-    assert max(ages) < 1.0
-    assert system.network.topic(MOTION_STATE.name).publishers
+    system.run(10)
+    late = interface.late
+    system.vrc_late = True
+    system.run(20)
+    system.vrc_late = False
+    system.run(10)
+    assert interface.late == late + 1 and interface.longest_gap >= 20
+    interface.longest_gap = 0
+    system.restart_comms_manager()
+    system.run(10)
+    assert interface.late == late + 1 and interface.longest_gap <= 3
 
 
 def test_a_trajectory_of_another_clock_is_refused_with_both_times() -> None:
     points = check_waypoints(THREE, [Point([0.1] * 3, [], [], [], 1.0)], LIMITS)
     rest = np.zeros((3, 3))
     with pytest.raises(InvalidTrajectoryError, match=r"begins 3600 s after now \(5\.000 s of robot time\)"):
-        begin(points, NOW + 3600 * SECOND, NOW, rest, LIMITS)
-    assert begin(points, NOW + 300 * SECOND, NOW, rest, LIMITS).end == NOW + 301 * SECOND
+        begin(points, NOW + 3600 * SECOND, NOW, rest, LIMITS, since=NOW)
+    assert begin(points, NOW + 300 * SECOND, NOW, rest, LIMITS, since=NOW).end == NOW + 301 * SECOND
 
 
 def test_asked_beyond_a_trajectory_the_arm_says_by_how_much() -> None:
@@ -235,22 +210,20 @@ def test_the_commander_asks_for_the_newest_and_for_nothing_that_was_forgotten(in
 
     def ask(number: int, behavior: str) -> BehaviorAnswer | None:
         """What came of it; None: the Motion Manager has not been found yet."""
-        heard.clear()
-        commander.ask(number, behavior)
-        while not heard.wait(0.01):
+        commander.request(number, behavior)
+        while (answer := commander.answers.read()) is None or answer.number != number:
             server.serve()
-        answer = commander.answers.read()
-        return None if answer is None or answer.silent else answer
+            heard.wait(0.01)
+        return None if answer.silent else answer
 
     try:
-        commander._wake.set()  # woken without a command: it asks for nothing
-        commander.commands.write((1, "idle"))
-        commander.forget()
-        commander._wake.set()
         for number, behavior, accepted in ((2, "stand", True), (3, "walk", False)):
             answer = wait_until(lambda n=number, b=behavior: ask(n, b), 30.0, f"the answer to {behavior}")  # type: ignore[misc]
             assert (answer.number, answer.accepted, answer.behavior) == (number, accepted, "stand_prep")
-            assert accepted or "refused walk: because" in answer.reason
+            assert accepted or "rejected walk: because" in answer.reason
+            commander.request(0, "step")  # not served yet, so that the next one waits
+            commander.request(1, "idle")
+            commander.discard()
         assert "idle" not in asked and asked == sorted(asked)
     finally:
         commander.close()
@@ -272,7 +245,7 @@ def test_a_stop_goes_to_the_comms_manager_where_there_is_no_motion_manager(insta
 
     def ask(behavior: str) -> str:
         heard.clear()
-        commander.ask(1, behavior)
+        commander.request(1, behavior)
         while not heard.wait(0.01):
             for server in servers:
                 server.serve()
@@ -283,12 +256,50 @@ def test_a_stop_goes_to_the_comms_manager_where_there_is_no_motion_manager(insta
     try:
         for behavior in ("freeze", "soft_stop"):
             reason = wait_until(lambda b=behavior: ask(b), 30.0, f"the answer to {behavior}")  # type: ignore[misc]
-            assert reason == f"the Comms Manager refused {behavior}: it lies"
+            assert reason == f"the Comms Manager rejected {behavior}: it lies"
         assert not ask("stand"), "nobody stands a robot up but the Motion Manager"
         assert asked == [("comms_manager", "freeze"), ("comms_manager", "soft_stop")]
         servers.append(server_of("motion_manager", BEHAVIOR))
         wait_until(lambda: ask("stand"), 30.0, "the Motion Manager's answer")
-        assert ask("freeze") == "the Motion Manager refused freeze: it lies"
+        assert ask("freeze") == "the Motion Manager rejected freeze: it lies"
         assert ("comms_manager", "stand") not in asked
     finally:
         commander.close()
+
+
+def silence(system: System) -> str:
+    """Whom the VRC names after nothing has come for too long."""
+    system.clock += 2.0 * SILENCE
+    system.vrc.interface.receive(0.0)
+    system.vrc.interface.poll()
+    return system.vrc.interface.silent
+
+
+def test_a_comms_manager_that_got_its_motor_is_named(system: System) -> None:
+    """In lockstep, one's end silences the other."""
+    assert system.vrc.interface.silent == ""
+    assert silence(system) == "comms_manager"
+
+
+def test_a_comms_manager_that_died_before_its_last_word_had_reached_everybody_is_named(system: System) -> None:
+    """The Motion Manager seemed to owe a Motor to a Proprioceptor that the VRC alone had got."""
+    system.frozen = True
+    system.run(2)
+    assert silence(system) == "motion_manager"  # as long as it is not known to be gone
+    system.network.topic(topics.PROPRIOCEPTOR.name).publishers = ()
+    assert silence(system) == "comms_manager"
+
+
+def test_while_time_is_paused_nobody_is_named_and_afterwards_whoever_is(system: System) -> None:
+    clock = system.network.topic(topics.CLOCK.name)
+
+    def said(mode: str) -> None:
+        clock.publish(ClockStatus(mode, 0, 0.0, 0.0, 0, False))
+
+    for _ in range(5):
+        said(topics.PAUSED)
+        assert silence(system) == ""
+    said("lockstep")
+    assert silence(system) == "comms_manager"
+    said(topics.PAUSED)
+    assert silence(system) == "comms_manager", "who was silent before is no pause's"

@@ -41,14 +41,6 @@ def test_what_is_written_follows_the_writers() -> None:
     assert hw.written.size == 0
 
 
-def test_offsets_of_robot_level_controllers_are_added() -> None:
-    hw = ValorEscherHWInterface(ROBOT)
-    hw.write("neck", NECK)
-    hw.time += 10_000_000
-    hw.command_offset[NECK[0]] = 0.01
-    assert hw.rectify()[0] == pytest.approx([0.01, 0.0])
-
-
 number = st.one_of(st.floats(-10, 10), st.floats(allow_nan=True, allow_infinity=True))
 
 
@@ -75,9 +67,8 @@ def test_whatever_is_commanded_what_is_sent_is_finite_within_limits_and_near_wha
 
 
 @pytest.mark.parametrize("side", ["lower", "upper"])
-@pytest.mark.parametrize("added", [False, True])
-def test_what_is_asked_for_beyond_a_limit_ends_at_the_limit(side: Any, added: bool) -> None:
-    """Of every joint, the pelvis' six included; whether its own controller asks for it or another adds it."""
+def test_what_is_asked_for_beyond_a_limit_ends_at_the_limit(side: Any) -> None:
+    """Of every joint, the pelvis' six included."""
     hw = ValorEscherHWInterface(ROBOT)
     limits = hw.limits(np.arange(len(hw.names)))
     joints = np.flatnonzero(np.isfinite(limits.lower) & np.isfinite(limits.upper))
@@ -87,8 +78,7 @@ def test_what_is_asked_for_beyond_a_limit_ends_at_the_limit(side: Any, added: bo
     beyond = 0.3 if side == "upper" else -0.3
     hw.command_position[joints] = 0.5 * (limits.lower + limits.upper)
     hw.write("all", joints)
-    hw.command_position[joints] = limit + (0.0 if added else beyond)
-    hw.command_offset[joints] = beyond if added else 0.0
+    hw.command_position[joints] = limit + beyond
     for _ in range(int((way / limits.velocity).max() / LONGEST_STEP) + 1):
         hw.time += round(1e9 * LONGEST_STEP)
         position, _, _ = hw.rectify()

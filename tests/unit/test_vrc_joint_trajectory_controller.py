@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from control_msgs.msg import JointTolerance
 
 from harness import motion_states
 from harness.places import ROBOTS
@@ -15,10 +16,14 @@ from valor.common.messages import MotionState
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.controllers.configuration import ControllersTable
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
-from valor.valor_ros_controller.controllers.trajectory_goal import Goal, Outcome, TrajectoryRequest, stated
+from valor.valor_ros_controller.controllers.trajectory_goal import (
+    TrajectoryGoal,
+    TrajectoryOutcome,
+    TrajectoryRequest,
+    stated,
+)
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
-from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
-from valor.valor_ros_controller.trajectory.waypoints import Point
+from valor.valor_ros_controller.trajectory.waypoints import ErrorCode, InvalidTrajectoryError, Point, Tolerances
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -40,10 +45,10 @@ def motion_state(behavior: str, setpoint: np.ndarray) -> MotionState:
 class Client:
     """Keeps what it is told."""
 
-    outcome: Any = None  # an Outcome, once it is told
+    outcome: Any = None  # an TrajectoryOutcome, once it is told
     feedbacks: list[int] = field(default_factory=list)
 
-    def finish(self, outcome: Outcome) -> None:
+    def finish(self, outcome: TrajectoryOutcome) -> None:
         assert self.outcome is None, "finished twice"
         self.outcome = outcome
 
@@ -77,7 +82,7 @@ class Arm:
     def request(
         self,
         points: Sequence[Point],
-        goal: Goal | None = None,
+        goal: TrajectoryGoal | None = None,
         names: Sequence[str] = NAMES,
         start: int = 0,
         goal_time: float | None = None,
@@ -126,7 +131,7 @@ def test_a_goal_is_reached_with_feedback_at_its_rate() -> None:
     arm, client = Arm().start(), Client()
     arm.request([point(1.0, 0.2), point(2.0, 0.1)], client)
     arm.run(3.0, lambda: client.outcome is not None)
-    assert client.outcome == Outcome(ErrorCode.SUCCESSFUL, "Goal successfully reached!")
+    assert client.outcome == TrajectoryOutcome(ErrorCode.SUCCESSFUL, "Goal successfully reached!")
     assert arm.arm == pytest.approx(target(0.1), abs=1e-6)
     assert len(client.feedbacks) == pytest.approx(2.0 * CONFIG.action_monitor_rate, abs=2)
     arm.assert_no_jump()
@@ -148,35 +153,30 @@ def test_it_keeps_sending_its_set_point_when_idle() -> None:
     assert len(arm.sent) == count + 25
 
 
-def test_inactive_it_sends_nothing_and_refuses_with_mode_and_name() -> None:
+@pytest.mark.parametrize(
+    ("active", "words"), [(False, ("left_arm_traj_controller", "control mode stand")), (True, ("behavior stand",))]
+)
+def test_inactive_or_not_accepted_it_sends_nothing_and_refuses(active: bool, words: tuple[str, ...]) -> None:
     arm, client = Arm(), Client()
+    if active:
+        arm.say("stand", HOME)
+        arm.start()
     arm.request([point(1.0, 0.1)], client)
     arm.run(0.1)
-    assert client.outcome.code is ErrorCode.INVALID_GOAL
-    assert "left_arm_traj_controller" in client.outcome.text and "control mode stand" in client.outcome.text
+    assert client.outcome.code is ErrorCode.INVALID_GOAL and all(word in client.outcome.text for word in words)
     assert not arm.sent
 
 
 def test_a_flood_of_refusals_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
     controller = Arm().start().controller
     for _ in range(1000):
-        controller.refuse(None, InvalidTrajectoryError("unknown joint 'nobody'", ErrorCode.INVALID_JOINTS))
-    controller.refuse(None, InvalidTrajectoryError("no joints", ErrorCode.INVALID_JOINTS))
-    assert controller.refusals.count == 1001
-    assert [record.getMessage().partition("refused: ")[2] for record in caplog.records] == [
+        controller.reject(None, InvalidTrajectoryError("unknown joint 'nobody'", ErrorCode.INVALID_JOINTS))
+    controller.reject(None, InvalidTrajectoryError("no joints", ErrorCode.INVALID_JOINTS))
+    assert controller.rejections.count == 1001
+    assert [record.getMessage().partition("rejected: ")[2] for record in caplog.records] == [
         "unknown joint 'nobody'",
-        "no joints (999 more were not told)",
+        "no joints (999 more omitted)",
     ]
-
-
-def test_active_but_not_accepted_it_sends_nothing_and_refuses() -> None:
-    arm, client = Arm(), Client()
-    arm.say("stand", HOME)
-    arm.start()
-    arm.request([point(1.0, 0.1)], client)
-    arm.run(0.1)
-    assert client.outcome.code is ErrorCode.INVALID_GOAL and "behavior stand" in client.outcome.text
-    assert not arm.sent
 
 
 def test_a_new_goal_replaces_the_old_one_without_a_jump() -> None:
@@ -282,15 +282,20 @@ def test_if_the_motion_system_moved_the_arm_meanwhile_the_goal_is_aborted_and_th
 
 def test_goal_tolerances_override_the_defaults() -> None:
     c = Arm().controller
-    over = stated(c.settings.goal, [("l_elbow_pitch", 0.5, 0.0), ("l_wrist_yaw", -1.0, -1.0)], NAMES, "goal_tolerance")
+
+    def over_with(*entries: tuple[str, float, float]) -> Tolerances:
+        messages = [JointTolerance(name=name, position=p, velocity=v) for name, p, v in entries]
+        return stated(c.settings.goal, messages, NAMES, "goal_tolerance")
+
+    over = over_with(("l_elbow_pitch", 0.5, 0.0), ("l_wrist_yaw", -1.0, -1.0))
     elbow, wrist = NAMES.index("l_elbow_pitch"), NAMES.index("l_wrist_yaw")
     assert over.position[elbow] == 0.5 and over.velocity[elbow] == c.settings.goal.velocity[elbow]
     assert np.isinf(over.position[wrist]) and np.isinf(over.velocity[wrist])
-    for entries, words in (
-        ([("l_tail", 0.1, 0.0)], ("l_tail", "goal_tolerance")),
-        ([("l_wrist_yaw", float("nan"), 0.0)], ("l_wrist_yaw", "nan")),
-        ([("l_wrist_yaw", -0.5, 0.0)], ("-0.5",)),
+    for entry, words in (
+        (("l_tail", 0.1, 0.0), ("l_tail", "goal_tolerance")),
+        (("l_wrist_yaw", float("nan"), 0.0), ("l_wrist_yaw", "nan")),
+        (("l_wrist_yaw", -0.5, 0.0), ("-0.5",)),
     ):
         with pytest.raises(InvalidTrajectoryError) as error:
-            stated(c.settings.goal, entries, NAMES, "goal_tolerance")
+            over_with(entry)
         assert all(word in str(error.value) for word in words)

@@ -14,7 +14,7 @@ from harness.vrc_in_process import MODES, PATIENCE, PERIOD, ModeClient, System
 from valor.common.behaviors import EMERGENCY_STOP, Behavior
 from valor.common.messages import BehaviorRequest, ModeStatus
 from valor.valor_ros_controller import behavior_transition
-from valor.valor_ros_controller.controllers.mode_requests import ModeReport
+from valor.valor_ros_controller.control_modes import ModeReport
 
 S = ModeStatus
 STOPPED = (Behavior.SOFT_STOP, Behavior.FREEZE)
@@ -277,21 +277,22 @@ def test_what_the_motion_manager_fell_silent_on_is_not_asked_for_when_it_is_back
     assert system.vrc.mode_controller.report == ModeReport("step_manipulate", str(behavior(system)), S.EXTERNAL_CHANGE)
 
 
-def test_a_lost_reply_is_no_refusal_if_the_robot_is_where_it_was_asked_to_go(system: System) -> None:
-    system.commander.lose_replies = True
-    change = system.ask("step")
-    system.run(SETTLED)
-    assert change.result == ModeReport("step", "step", S.MODE_ACCEPTED)
-
-
-def test_a_refused_change_does_not_end_the_mode_stop(system: System) -> None:
-    """``stop`` stands for no behavior, and was taken for another mode when a change from it was refused."""
-    system.ask("stop")
+@pytest.mark.parametrize(
+    ("before", "lost", "mode", "current", "status"),
+    [
+        # A lost reply is no refusal if the robot is where it was asked to go.
+        ("stand_manipulate", "lose_replies", "step", "step", S.MODE_ACCEPTED),
+        # ``stop`` stands for no behavior: a refused change does not end it.
+        ("stop", "lose_requests", "stand", "stop", S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY),
+    ],
+)
+def test_what_is_lost(system: System, before: str, lost: str, mode: str, current: str, status: ModeStatus) -> None:
+    system.ask(before)
     system.run(4)
-    system.commander.lose_requests = True
-    change = system.ask("stand")
+    setattr(system.commander, lost, True)
+    change = system.ask(mode)
     system.run(SETTLED)
-    assert change.result == ModeReport("stand", "stop", S.MODE_REJECTED | S.ERR_CONTROLLER_NOT_READY)
+    assert change.result == ModeReport(mode, current, status)
 
 
 def test_a_stop_that_cannot_follow_does_not_end_the_change_under_way(system: System) -> None:

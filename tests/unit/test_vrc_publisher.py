@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import cos, sin
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
 from rclpy.serialization import deserialize_message
 
 from harness.motion_states import motion_state
@@ -17,7 +19,7 @@ from harness.places import ROBOTS
 from valor.common.messages import MotionState, Proprioceptor
 from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
-from valor.valor_ros_controller.ros.publisher import PUBLICATIONS, Publisher
+from valor.valor_ros_controller.ros.publisher import PUBLICATIONS, Publisher, publish_static
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
@@ -82,11 +84,6 @@ def check(topics: Topics, sense: Proprioceptor, motion: MotionState) -> None:
         assert list(state.name) == list(ROBOT.joints)
         same((state.position, sense.joint_position), (state.velocity, sense.joint_velocity))
         same((state.effort, sense.joint_effort))
-    if (told := topics.new("dynamic_joint_states")) is not None:
-        assert list(told.joint_names) == list(ROBOT.joints)
-        assert all(list(each.interface_names) == ["position", "velocity", "effort"] for each in told.interface_values)
-        values = np.array([each.values for each in told.interface_values]).T
-        same((values, (sense.joint_position, sense.joint_velocity, sense.joint_effort)))  # type: ignore[arg-type]
     if (imu := topics.new("imu/data")) is not None:
         same((quaternion(imu.orientation), sense.imu_orientation))
         same((vector(imu.angular_velocity), sense.imu_angular_velocity))
@@ -138,13 +135,28 @@ def test_every_number_stands_where_it_belongs_and_comes_at_its_rate() -> None:
         publisher.publish_measured(hw)
         publisher.publish(hw)
         assert topics.order[0] == "clock", "a stamp that the clock has not come to"
-        joined = [name for publication in PUBLICATIONS if publication.rate == 125.0 for name in publication.topics]
+        joined = [
+            name for publication in PUBLICATIONS.values() if publication.rate == 125.0 for name in publication.topics
+        ]
         assert len(set(joined).intersection(topics.order)) in (0, len(joined)), "stamps that are not to be matched"
         for name, topic in topics.by_name.items():
             for message in topic.new if name != "robot_description" else ():
                 if header := getattr(message, "header", None):
                     assert (header.stamp.sec, header.stamp.nanosec) == (cycle, 7 * cycle), name
         check(topics, sense, motion)
-    for publication in PUBLICATIONS:
+    for publication in PUBLICATIONS.values():
         for name in publication.topics:
             assert topics.by_name[name].count == pytest.approx(publication.rate * CYCLES / 250.0, abs=1), name
+
+
+@pytest.mark.parametrize("at_start", [True, False])
+def test_map_is_published_as_the_parameter_says(at_start: bool) -> None:
+    fixed = TransformStamped(child_frame_id="escher1/base_link")
+    topics, parameters = Topics(), Mock()
+    parameters.declare.return_value = at_start
+    publish_static(topics, parameters, [fixed], "escher1/odom")
+    for with_map in (at_start, not at_start):
+        message: Any = topics.new("/tf_static")
+        links = [(each.header.frame_id, each.child_frame_id) for each in message.transforms]
+        assert links == [("", "escher1/base_link")] + [("map", "escher1/odom")] * with_map
+        parameters.declare.call_args.kwargs["on_change"](not at_start)

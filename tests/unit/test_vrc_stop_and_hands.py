@@ -13,8 +13,7 @@ from harness.instance import RunningInstance
 from tests.unit.test_vrc_who_has_the_arm import AT_ONCE, Arms
 from valor.common.instance import Settings
 from valor.ros.node import RosSide
-from valor.valor_ros_controller.ros.controller_bypass import AT_ONCE as HANDED_OVER_AT_ONCE
-from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
+from valor.valor_ros_controller.ros.controller_bypass import MAX_PER_CYCLE, ControllerBypass
 
 
 class Hand(Arms):
@@ -56,15 +55,7 @@ def hand(instance: RunningInstance) -> Iterator[Hand]:
     side.close()
 
 
-def test_a_hand_that_moves_is_let_go(hand: Hand) -> None:
-    hand.goal()
-    hand.system.run(60)
-    assert hand.hand()[0] == "moving"
-    hand.stop()
-    assert hand.let_go()
-
-
-@pytest.mark.parametrize("goals", [1, 2 * HANDED_OVER_AT_ONCE + 1])
+@pytest.mark.parametrize("goals", [1, 2 * MAX_PER_CYCLE + 1])
 def test_goals_that_a_stop_finds_in_the_same_cycle_do_not_go_on_after_it(hand: Hand, goals: int) -> None:
     for _ in range(goals):
         hand.goal()

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -10,13 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.examples import examples
-from harness.planned_trajectory import planned
 from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits
 from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
-from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
-from valor.valor_ros_controller.trajectory.waypoints import Point
+from valor.valor_ros_controller.trajectory.waypoints import ErrorCode, InvalidTrajectoryError, Point
 
 NAMES = ("shoulder", "elbow", "wrist")
 LIMITS = CommandedLimits(
@@ -95,14 +93,14 @@ def test_broken_trajectories_are_refused_with_the_reason(
 
 def test_partial_goals_are_taken_where_allowed_and_the_rest_holds() -> None:
     waypoints = check_waypoints(["wrist"], [point(1.0, [2.0])], LIMITS, allow_partial=True)
-    trajectory = begin(waypoints, 0, NOW, np.array([[0.1, 0.2, 0.3], *REST[1:]]), LIMITS)
+    trajectory = begin(waypoints, 0, NOW, np.array([[0.1, 0.2, 0.3], *REST[1:]]), LIMITS, since=NOW)
     assert sample(trajectory, NOW + 500_000_000)[0] == pytest.approx([0.1, 0.2, 1.15])
     assert sample(trajectory, trajectory.end)[0] == pytest.approx([0.1, 0.2, 2.0])
 
 
 def test_names_in_another_order_are_mapped() -> None:
     waypoints = check_waypoints(["wrist", "shoulder", "elbow"], [point(2.0, [3.0, 1.0, 2.0])], LIMITS)
-    trajectory = begin(waypoints, 0, NOW, REST, LIMITS)
+    trajectory = begin(waypoints, 0, NOW, REST, LIMITS, since=NOW)
     assert sample(trajectory, trajectory.end)[0] == pytest.approx([1.0, 2.0, 3.0])
 
 
@@ -115,13 +113,13 @@ def test_names_in_another_order_are_mapped() -> None:
     ],
 )
 def test_interpolation_is_linear_cubic_or_quintic_by_what_the_points_give(end: Point, middle: Any) -> None:
-    trajectory = begin(check_waypoints(NAMES, [end], LIMITS), 0, NOW, REST, LIMITS)
+    trajectory = begin(check_waypoints(NAMES, [end], LIMITS), 0, NOW, REST, LIMITS, since=NOW)
     position, velocity, _ = sample(trajectory, NOW + 1_000_000_000)
     assert (position[0], velocity[0]) == pytest.approx(middle)
 
 
 def begun(points: Sequence[Point], start: int = 0, now: int = NOW, state: FloatArray = REST) -> Trajectory:
-    return begin(check_waypoints(NAMES, points, LIMITS), start, now, state, LIMITS)
+    return begin(check_waypoints(NAMES, points, LIMITS), start, now, state, LIMITS, since=now)
 
 
 def begin_refusal(*args: Any, **options: Any) -> InvalidTrajectoryError:
@@ -136,11 +134,36 @@ def test_a_first_point_that_the_speed_limits_do_not_allow_is_refused() -> None:
     assert "shoulder" in str(error) and "10 rad/s" in str(error) and "2 rad/s" in str(error)
 
 
+class Planned(NamedTuple):
+    """Points of a trajectory: time (m,) [s]; position, velocity, acceleration (m, n) [rad, rad/s, rad/s²]."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
+def planned(start: FloatArray, end: FloatArray, points: int) -> Planned:
+    """A straight path as MoveIt times it: accelerate, cruise, brake within 0.8 rad/s and 4 rad/s²; at equal times."""
+    way = end - start
+    farthest = np.abs(way).max()
+    speed, push = 0.8 / farthest, 0.5 * 4.0 / farthest
+    ramp = min(speed / push, np.sqrt(1.0 / push))
+    cruise = push * ramp
+    duration = ramp + 1.0 / cruise
+    time = np.linspace(0.0, duration, points)
+    up, down, left = time < ramp, time > duration - ramp, duration - time
+    share = np.select([up, down], [0.5 * push * time**2, 1.0 - 0.5 * push * left**2], cruise * (time - 0.5 * ramp))
+    rate = np.select([up, down], [push * time, push * left], cruise)
+    gain = np.select([up, down], [push, -push], 0.0)
+    return Planned(time, start + np.outer(share, way), np.outer(rate, way), np.outer(gain, way))
+
+
 @pytest.mark.parametrize("points", [5, 50, 500])
 @pytest.mark.parametrize("off", [0.01, 0.05])
 def test_a_dense_plan_that_begins_beside_the_set_point_is_joined_where_there_is_time(points: int, off: float) -> None:
     """A planner starts at measured joints: to be where it says at its second point, 5 ms on, would take 10 rad/s."""
-    plan = planned(np.array([[off, -off, 0.0], [0.8, 0.3, -0.4]]), np.full(3, 0.8), np.full(3, 4.0), points)
+    plan = planned(np.array([off, -off, 0.0]), np.array([0.8, 0.3, -0.4]), points)
     sent = [
         point(float(t), p.tolist(), v.tolist(), a.tolist())
         for t, p, v, a in zip(plan.time, plan.position, plan.velocity, plan.acceleration, strict=True)
@@ -258,7 +281,7 @@ def test_accepted_trajectories_are_continuous_within_limits_and_through_their_po
 ) -> None:
     try:
         waypoints = check_waypoints(NAMES, points, LIMITS)
-        trajectory = begin(waypoints, 0, NOW, np.array([here, *REST[1:]]), LIMITS)
+        trajectory = begin(waypoints, 0, NOW, np.array([here, *REST[1:]]), LIMITS, since=NOW)
     except InvalidTrajectoryError as error:
         assert error.code is ErrorCode.INVALID_GOAL
         return

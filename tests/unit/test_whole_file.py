@@ -1,6 +1,4 @@
-"""A file is replaced as a whole, or stays as it was."""
-
-from __future__ import annotations
+"""A file is replaced completely, or stays unchanged."""
 
 import resource
 import signal
@@ -11,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from valor.common import whole_file
+
+pytestmark = pytest.mark.portable
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def full_disk() -> Iterator[None]:
         signal.signal(signal.SIGXFSZ, before)
 
 
-def test_a_reader_who_has_the_old_file_open_goes_on_reading_that(tmp_path: Path) -> None:
+def test_a_reader_of_the_old_file_continues_to_read_it(tmp_path: Path) -> None:
     file = tmp_path / "settings.json"
     whole_file.write(file, "old")
     with open(file) as old:
@@ -36,7 +36,7 @@ def test_a_reader_who_has_the_old_file_open_goes_on_reading_that(tmp_path: Path)
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_what_cannot_be_written_leaves_the_old_and_nothing_beside_it(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_the_old_file_only(tmp_path: Path) -> None:
     file = tmp_path / "settings.json"
     whole_file.write(file, "old")
     with pytest.raises(OSError, match="File too large") as raised, full_disk():
@@ -46,7 +46,7 @@ def test_what_cannot_be_written_leaves_the_old_and_nothing_beside_it(tmp_path: P
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_a_folder_that_is_not_there_is_told_by_the_name_of_the_file(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported_with_the_files_name(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError) as raised:
         whole_file.write(tmp_path / "none/settings.json", "")
     assert raised.value.filename == str(tmp_path / "none/settings.json")

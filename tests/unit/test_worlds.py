@@ -1,8 +1,5 @@
 """The worlds: the ground that was asked for, where it was asked for, and the same from the same seed."""
 
-from __future__ import annotations
-
-import mujoco
 import numpy as np
 import pytest
 
@@ -11,8 +8,7 @@ from valor.common.errors import ConfigurationError
 from valor.robot.description import RobotDescription
 from valor.simulation import worlds
 from valor.simulation.plant import Plant
-from valor.simulation.worlds.dirt import Dirt
-from valor.simulation.worlds.stairs import Stairs
+from valor.simulation.worlds.courses import Dirt, Stairs
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 _dirt = worlds.WORLDS["dirt"]
@@ -20,41 +16,26 @@ assert isinstance(_dirt, Dirt)
 DIRT = _dirt
 
 
-def slope(height: np.ndarray) -> np.ndarray:
-    """Of a height field on the dirt's grid [degrees]."""
-    along_y, along_x = np.gradient(height, DIRT.resolution)
-    angle: np.ndarray = np.degrees(np.arctan(np.hypot(along_x, along_y)))
-    return angle
-
-
-@pytest.mark.parametrize("name", worlds.known())
+@pytest.mark.parametrize("name", worlds.WORLDS)
 def test_name_and_seed_say_everything(name: str) -> None:
     first, again, other = (worlds.load(name, seed).to_xml() for seed in (3, 3, 4))
     assert first == again
     assert (first == other) == (name in ("flat", "stairs", "stairs_15cm"))
 
 
-@pytest.mark.parametrize("name", worlds.known())
+@pytest.mark.parametrize("name", worlds.WORLDS)
 def test_the_robot_stands_on_level_ground_at_the_start(name: str) -> None:
-    """On its servos alone: soles level at z = 0, and what it feels of the ground is its weight."""
     x, y = np.linspace(-0.5, 0.45, 20), np.linspace(-0.5, 0.5, 20)
     np.testing.assert_allclose(worlds.heights(name, 1, x, y), 0.0, atol=1e-6)
     robot = Plant(ROBOT, name, "ideal", 1)
     robot.actuators.hold(ROBOT.nominal_posture)
     robot.step(300)
-    model, data = robot.model.mj, robot.data
     soles = [robot.model.site(foot.sole) for foot in (ROBOT.tables.feet.left, ROBOT.tables.feet.right)]
-    np.testing.assert_allclose(data.site_xpos[soles, 2], 0.0, atol=1e-3)
-    force = np.zeros(6)
-    total = 0.0
-    for contact in range(data.ncon):
-        mujoco.mj_contactForce(model, data, contact, force)
-        total += force[0]
-    assert total == pytest.approx(9.81 * model.body_subtreemass[robot.model.body("pelvis")], rel=0.02)
+    np.testing.assert_allclose(robot.data.site_xpos[soles, 2], 0.0, atol=1e-3)
 
 
 @pytest.mark.parametrize(("name", "rise"), [("stairs", 0.10), ("stairs_15cm", 0.15)])
-def test_stairs_lead_up_and_down_where_the_table_says(name: str, rise: float) -> None:
+def test_stairs_lead_up_and_down_where_the_table_states(name: str, rise: float) -> None:
     stairs = worlds.WORLDS[name]
     assert isinstance(stairs, Stairs)
     assert stairs.up == pytest.approx([0.5, 0.8, 1.1])
@@ -70,7 +51,8 @@ def test_stairs_lead_up_and_down_where_the_table_says(name: str, rise: float) ->
 @pytest.mark.parametrize("seed", range(3))
 def test_the_dirt_has_slopes_of_five_degrees_and_bumps_of_two_centimetres(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    steepness = slope(DIRT.slopes(rng))
+    along_y, along_x = np.gradient(DIRT.slopes(rng), DIRT.resolution)
+    steepness = np.degrees(np.arctan(np.hypot(along_x, along_y)))
     assert steepness.max() <= DIRT.slope + 0.05
     on_course = (DIRT.x > 0) & (DIRT.x < DIRT.course)
     near = np.abs(DIRT.y) < 1.0
@@ -80,15 +62,6 @@ def test_the_dirt_has_slopes_of_five_degrees_and_bumps_of_two_centimetres(seed: 
     assert 0.015 < np.abs(rough).max() <= 0.02
     assert 0.006 < rough.std() < 0.010
     assert not bumps[:, np.abs(DIRT.x) < 0.6].any()
-
-
-def test_the_dirts_bumps_are_of_lengths_that_a_foot_meets() -> None:
-    rough = DIRT.bumps(np.random.default_rng(0))[:, DIRT.x > 1.6]
-    power = np.abs(np.fft.rfft(rough - rough.mean(), axis=1)) ** 2
-    frequency = np.fft.rfftfreq(rough.shape[1], DIRT.resolution)
-    share = power[:, (frequency > 1.0) & (frequency < 5.0)].sum() / power[:, 1:].sum()
-    # Waves that run aslant are longer along x than they are: some of the power is below the band.
-    assert share > 0.6
 
 
 def test_the_dirt_reaches_beyond_the_finish_and_the_physics_sees_the_generators_heights() -> None:
@@ -124,18 +97,11 @@ def test_bumps_and_boxes_go_by_the_robots_legs_and_the_rest_does_not() -> None:
         theirs, ours = (worlds.heights(name, 5, places, y, each) for each in (size, 1.0))
         np.testing.assert_allclose(theirs, size * ours, atol=2e-4)
     assert worlds.load("stairs", 0, 0.3).to_xml() == worlds.load("stairs", 0).to_xml()
-    model = Plant(thor, "dirt", "ideal", 5).model.mj
-    assert model.hfield_size[0, 2] == pytest.approx(_height_range(5, size), rel=1e-3)
+    rng = np.random.default_rng([5, 2])
+    met = np.ptp(DIRT.slopes(rng) + size * DIRT.bumps(rng))
+    assert Plant(thor, "dirt", "ideal", 5).model.mj.hfield_size[0, 2] == pytest.approx(met, rel=1e-3)
 
 
-def _height_range(seed: int, size: float) -> float:
-    rng = np.random.default_rng([seed, 2])
-    slopes = DIRT.slopes(rng)
-    return float(np.ptp(slopes + size * DIRT.bumps(rng)))
-
-
-def test_an_unknown_world_is_refused_by_name() -> None:
-    with pytest.raises(ConfigurationError, match="world 'moon': expected one of flat, dirt, stairs, stairs_15cm, rubb"):
-        worlds.load("moon", 0)
+def test_an_unknown_world_is_rejected_by_name() -> None:
     with pytest.raises(ConfigurationError, match=r"world '\.\./worlds/flat'"):
         worlds.load("../worlds/flat", 0)

@@ -1,1 +1,1 @@
-"""Bags into numbers and pictures. Knows messages and the robot's description, nothing of the services."""
+"""Bags as numbers and pictures. Depends on messages and the robot's description, not on the services."""

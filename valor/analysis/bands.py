@@ -1,15 +1,14 @@
-"""What the Motion System was doing, as colored bands under a plot."""
+"""Behaviors as colored bands below a plot."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.patches import Patch
 
-from valor.analysis.recording import Recording
+from valor.analysis.reading.recording import Recording
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior, Locomotion
 from valor.common.topics import MOTION_STATE
@@ -20,31 +19,21 @@ _L = Locomotion
 COLORS: Mapping[Locomotion, tuple[str, str]] = {
     _L.IDLE: ("#c9ced6", _OTHER), _L.STAND_PREP: ("#e3d5a8", _OTHER), _L.STAND: ("#b7d3ea", "#bfe3cf"),
     _L.WALK: ("#f1c8a5", "#f4dd9a"), _L.STEP: ("#e8bfd4", "#d9c3ec"), _L.SOFT_STOP: ("#e6a5a0", _OTHER),
-    _L.FREEZE: ("#d98c86", _OTHER), _L.FALL: ("#b55a52", _OTHER), _L.GET_UP: (_OTHER, _OTHER),
+    _L.FREEZE: ("#d98c86", _OTHER), _L.FALL: ("#b55a52", _OTHER),
 }  # fmt: skip
-"""How the robot carries itself → the band while the arms are closed, and while they follow set-points."""
-_BEHAVIORS = {str(behavior): COLORS[behavior.locomotion][behavior.manipulating] for behavior in Behavior}
+"""Colors by locomotion: arms under control of the Motion System, arms following set-points. Others are grey."""
+_BEHAVIORS = {
+    str(behavior): COLORS.get(behavior.locomotion, (_OTHER, _OTHER))[behavior.manipulating] for behavior in Behavior
+}
 
 
 def color(behavior: str) -> str:
-    """Of a behavior's band."""
+    """Color of a behavior's band."""
     return _BEHAVIORS.get(behavior, _OTHER)
 
 
-def keys(behaviors: Iterable[str]) -> list[Patch]:
-    """For a legend of bands that do not name themselves: a patch a behavior, in the order of their first sight."""
-    return [Patch(color=color(name), label=name.replace("_", " ")) for name in dict.fromkeys(map(str, behaviors))]
-
-
-def make_room(axes: Axes) -> None:
-    """Lower the foot of a plot, so that bands stand below its values rather than over them."""
-    low, high = axes.get_ylim()
-    axes.set_ylim(low - 1.4 * HEIGHT * (high - low), high)
-    axes.set_yticks([tick for tick in axes.get_yticks() if low <= tick <= high])
-
-
 def bands_of(axes: Axes, recording: Recording, start: float, end: float, label: bool = True) -> None:
-    """Draw a recording's bands under a plot whose zero is ``start`` and that ends at ``end``, both robot time [s]."""
+    """Draw a recording's bands below a plot from ``start`` to ``end``, robot time [s]; its time axis starts at 0."""
     states = recording.series(MOTION_STATE)
     shown = np.flatnonzero((states.time >= start) & (states.time <= end))
     if shown.size:
@@ -52,14 +41,7 @@ def bands_of(axes: Axes, recording: Recording, start: float, end: float, label: 
 
 
 def bands(axes: Axes, time: FloatArray, behavior: npt.NDArray[np.str_], label: bool = True) -> None:
-    """Draw them along the bottom of some axes.
-
-    Args:
-        axes: the plot.
-        time: (m,) in the plot's own time, ascending.
-        behavior: (m,) at these times.
-        label: whether each band names its behavior, where there is room.
-    """
+    """Draw bands of (m,) behaviors at (m,) times along the bottom of a plot; ``label``: write each where it fits."""
     if not len(time):
         return
     edges = np.flatnonzero(behavior[1:] != behavior[:-1]) + 1

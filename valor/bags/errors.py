@@ -1,7 +1,7 @@
-"""What goes wrong with a bag. Every text is one line."""
+"""Errors about bags. Every message is one line."""
 
 from valor.common.errors import ValorError
 
 
 class BagError(ValorError):
-    """A file is no bag, cannot be read or recovered, or lacks what is asked of it: names it, and what is wrong."""
+    """A file is not a bag, cannot be read or recovered, or lacks requested data."""

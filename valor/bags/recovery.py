@@ -1,8 +1,8 @@
-"""Finishing a bag that its recorder did not finish: in place, without copying a message.
+"""Recovery of an unfinished bag in place, without copying messages.
 
-An MCAP file is a row of records. A recorder that is killed leaves whole records up to a point, perhaps a piece of one
-more, and no index. ``recover`` reads the records that are whole, cuts off the piece, and writes the index (the summary
-section) that the recorder would have written. Kept chunks are checked against their checksums.
+An MCAP file is a sequence of records. A killed recorder leaves complete records, perhaps followed by part of a record,
+and no index. ``recover`` reads the complete records, cuts off the rest, and writes the index (the summary section).
+Chunks are verified by their checksums.
 """
 
 from __future__ import annotations
@@ -33,26 +33,19 @@ _MESSAGE = struct.Struct("<HIQ")  # channel, sequence, log time
 
 @dataclass(frozen=True)
 class RecoveredBag:
-    """What ``recover`` found.
+    """Result of ``recover``."""
 
-    Attributes:
-        path: the file.
-        finished: whether it was complete already, and so was left as it was.
-        messages: how many it holds.
-        bytes_cut: of a record that was not whole [B].
-    """
-
-    path: Path
-    finished: bool
-    messages: int
-    bytes_cut: int
+    path: Path  # the file
+    finished: bool  # the bag was complete, and is unchanged
+    messages: int  # number of messages in the bag
+    bytes_cut: int  # size of an incomplete record that was cut off [B]
 
 
 @dataclass
 class _Contents:
-    """What the whole records of a file hold."""
+    """Contents of the complete records of a file."""
 
-    end: int = 0  # of the last whole record [B from the start]
+    end: int = 0  # of the last complete record [B from the start]
     has_header: bool = False
     schemas: dict[int, records.Schema] = field(default_factory=dict)
     channels: dict[int, records.Channel] = field(default_factory=dict)
@@ -61,15 +54,14 @@ class _Contents:
     attachments: int = 0
     counts: dict[int, int] = field(default_factory=lambda: defaultdict(int))
     times: list[int] = field(default_factory=list)  # first and last log time of every chunk
-    last_indices: list[records.MessageIndex] = field(default_factory=list)  # as the last chunk should have them
+    last_indices: list[records.MessageIndex] = field(default_factory=list)  # expected after the last chunk
 
 
 def recover(path: Path) -> RecoveredBag:
-    """Make a bag readable that was not finished; one that was is left alone.
+    """Finish an unfinished bag; a finished one stays unchanged.
 
     Raises:
-        BagError: the file is missing, is no MCAP file, is being written, or cannot be written; or it was finished, but
-            its index is damaged.
+        BagError: the file is missing, not MCAP, being recorded, not writable, or finished with a damaged index.
     """
     try:
         with open(path, "r+b") as file:
@@ -109,7 +101,7 @@ def _is_finished(file: BinaryIO, size: int) -> bool:
 
 
 def _whole_records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
-    """Opcode, offset and content of every record that is whole, up to the end of the data section."""
+    """Opcode, offset and content of every complete record, up to the end of the data section."""
     offset = len(MCAP0_MAGIC)
     while offset + _RECORD.size <= size:
         file.seek(offset)
@@ -129,8 +121,8 @@ def _read(file: BinaryIO, size: int) -> _Contents:
         if opcode == Opcode.CHUNK:
             try:
                 expected = _read_chunk(content, offset, contents)
-            except Exception:  # each decompressor has errors of its own
-                break  # not what was written: nothing after it can be trusted
+            except Exception:  # each decompressor raises its own errors
+                break  # corrupted: later records are not trusted either
             contents.end, found = end, 0
             contents.last_indices = list(expected.values())
         elif opcode == Opcode.MESSAGE_INDEX and contents.chunks:
@@ -193,7 +185,7 @@ def _read_chunk(content: bytes, offset: int, contents: _Contents) -> dict[int, r
 
 
 def _write_end(file: BinaryIO, contents: _Contents) -> None:
-    """What the file lacks from ``contents.end`` on, where ``file`` stands: indices, end of data, summary, footer."""
+    """Write indices, end of data, summary and footer at ``contents.end``, the position of ``file``."""
     builder = RecordBuilder()
     if not contents.end:
         builder.write(MCAP0_MAGIC)

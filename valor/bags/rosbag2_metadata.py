@@ -1,7 +1,6 @@
-"""``metadata.yaml``: what rosbag2 wants to know of the MCAP files in a folder before it opens the folder as one bag.
+"""rosbag2's ``metadata.yaml`` (version 9, ROS 2 Jazzy), which describes the MCAP files of a folder as one bag.
 
-A recording that stands in a folder of its own name has it (version 9, that of ROS 2 Jazzy); it is made of the files'
-own indices, so that it can be written anew at any time.
+It is derived from the indices of the files, so it can be written again at any time.
 """
 
 from __future__ import annotations
@@ -15,11 +14,11 @@ from typing import Any
 import yaml
 
 from valor.bags.errors import BagError
-from valor.bags.event import EVENT, Event
 from valor.bags.files import SUFFIX, is_own_folder
-from valor.bags.index import BagIndex, read_index, read_metadata
+from valor.bags.index import BagIndex, read_index
 from valor.common import whole_file
 
+EVENT = "event"  # name of an event's metadata record: ``what``, ``stamp_ns`` (recorder's wall clock), ``reason``
 FILE = "metadata.yaml"
 VERSION, DISTRIBUTION = 9, "jazzy"
 _TOPICS = "topics_with_message_count"
@@ -27,23 +26,16 @@ _TOPICS = "topics_with_message_count"
 
 @dataclass(frozen=True)
 class Head:
-    """What ``metadata.yaml`` says of a recording as a whole.
+    """The head of ``metadata.yaml``."""
 
-    Attributes:
-        start: of the first message, wall clock [s].
-        duration: from the first message to the last [s].
-        messages: how many.
-        events: what happened, by when (ISO 8601).
-    """
-
-    start: float
-    duration: float
-    messages: int
-    events: dict[str, str]
+    start: float  # of the first message, wall clock [s]
+    duration: float  # from the first message to the last [s]
+    messages: int  # number of messages
+    events: dict[str, str]  # descriptions by time (ISO 8601)
 
 
 def head(folder: Path) -> Head | None:
-    """What stands in ``metadata.yaml`` before its long list of topics; None: there is none that we can read."""
+    """Read ``metadata.yaml`` up to its long list of topics; None if it is absent or malformed."""
     lines = []
     try:
         with open(folder / FILE) as file:
@@ -51,23 +43,19 @@ def head(folder: Path) -> Head | None:
                 if line.strip() == f"{_TOPICS}:":
                     break
                 lines.append(line)
-        said = yaml.safe_load("".join(lines))["rosbag2_bagfile_information"]
+        found = yaml.safe_load("".join(lines))["rosbag2_bagfile_information"]
         return Head(
-            said["starting_time"]["nanoseconds_since_epoch"] * 1e-9,
-            said["duration"]["nanoseconds"] * 1e-9,
-            said["message_count"],
-            {str(when): str(what) for when, what in (said.get("custom_data") or {}).items()},
+            found["starting_time"]["nanoseconds_since_epoch"] * 1e-9,
+            found["duration"]["nanoseconds"] * 1e-9,
+            found["message_count"],
+            {str(when): str(what) for when, what in (found.get("custom_data") or {}).items()},
         )
     except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError):
         return None
 
 
 def write(folder: Path) -> Path | None:
-    """Describe the finished bags of a folder that have its name; returns the file, or None if there is none.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Describe the finished bags named as their folder; returns the file, None without bags. Raises ``OSError``."""
     own = (file for file in folder.glob(f"*{SUFFIX}") if is_own_folder(file))
     found = [(file, index) for file in own if (index := _index(file)) is not None]
     if not found:
@@ -80,14 +68,14 @@ def write(folder: Path) -> Path | None:
 
 
 class _Plain(yaml.SafeDumper):
-    """Without anchors: equal parts are written out."""
+    """A dumper without anchors."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True
 
 
 def _index(file: Path) -> BagIndex | None:
-    """A bag's index; None: it has none, because it is not finished."""
+    """The index of a bag; None if the bag is not finished."""
     try:
         return read_index(file)
     except (BagError, OSError):
@@ -95,39 +83,35 @@ def _index(file: Path) -> BagIndex | None:
 
 
 def _events(found: list[tuple[Path, BagIndex]]) -> dict[str, str] | None:
-    """What happened, by when: rosbag2's place for what is not its own."""
+    """Descriptions of events by time, for rosbag2's ``custom_data``."""
     events = {}
-    for file, index in found:
-        for record in read_metadata(file, index, EVENT):
-            if (event := Event.of(record)) is None:
-                continue
-            with contextlib.suppress(ValueError, OverflowError):  # a time that no calendar has
-                when = datetime.fromtimestamp(event.stamp * 1e-9).astimezone()
-                events[when.isoformat(timespec="milliseconds")] = event.text
+    for record in (record for _, index in found for record in index.metadata if record.name == EVENT):
+        with contextlib.suppress(KeyError, ValueError, OverflowError):  # another program's, or outside the calendar
+            values = record.metadata
+            when = datetime.fromtimestamp(int(values["stamp_ns"]) * 1e-9).astimezone()
+            events[when.isoformat(timespec="milliseconds")] = f"{values['what']}: {values['reason']}"
     return events or None
 
 
-def _information(found: list[tuple[Path, BagIndex]]) -> dict[str, Any]:
+def _topics(found: list[tuple[Path, BagIndex]]) -> list[dict[str, Any]]:
     topics: dict[tuple[str, str], dict[str, Any]] = {}
     for _, index in found:
-        counts = index.statistics.channel_message_counts
-        for channel in index.summary.channels.values():
-            schema = index.summary.schemas.get(channel.schema_id)
+        for channel in index.channels.values():
+            schema = index.schemas.get(channel.schema_id)
             type_name = schema.name if schema else ""
-            topic = topics.setdefault(
-                (channel.topic, type_name),
-                {
-                    "topic_metadata": {
-                        "name": channel.topic,
-                        "type": type_name,
-                        "serialization_format": channel.message_encoding,
-                        "offered_qos_profiles": yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or [],
-                        "type_description_hash": channel.metadata.get("topic_type_hash", ""),
-                    },
-                    "message_count": 0,
-                },
-            )
-            topic["message_count"] += counts.get(channel.id, 0)
+            described = {
+                "name": channel.topic,
+                "type": type_name,
+                "serialization_format": channel.message_encoding,
+                "offered_qos_profiles": yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or [],
+                "type_description_hash": channel.metadata.get("topic_type_hash", ""),
+            }
+            topic = topics.setdefault((channel.topic, type_name), {"topic_metadata": described, "message_count": 0})
+            topic["message_count"] += index.statistics.channel_message_counts.get(channel.id, 0)
+    return [topics[key] for key in sorted(topics)]
+
+
+def _information(found: list[tuple[Path, BagIndex]]) -> dict[str, Any]:
     files = [
         {
             "path": file.name,
@@ -147,7 +131,7 @@ def _information(found: list[tuple[Path, BagIndex]]) -> dict[str, Any]:
         "starting_time": {"nanoseconds_since_epoch": start},
         "message_count": sum(each.message_count for each in held),
         "custom_data": _events(found),
-        _TOPICS: [topics[key] for key in sorted(topics)],
+        _TOPICS: _topics(found),
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.name for file, _ in found],

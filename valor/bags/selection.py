@@ -1,4 +1,4 @@
-"""Which topics of a bag: patterns of their names."""
+"""Selection of topics by patterns of their names."""
 
 from __future__ import annotations
 
@@ -8,15 +8,10 @@ from fnmatch import fnmatchcase
 
 @dataclass(frozen=True)
 class Selection:
-    """Shell patterns (``/bifrost/*/statistics``); a ``*`` matches slashes, too.
+    """Shell patterns such as ``/bifrost/*/statistics``; ``*`` matches slashes."""
 
-    Attributes:
-        only: what is chosen; all topics if there is none.
-        without: what is left out of that.
-    """
-
-    only: tuple[str, ...] = ()
-    without: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()  # patterns of selected topics; empty selects all
+    without: tuple[str, ...] = ()  # patterns of topics excluded from these
 
     def __contains__(self, topic: str) -> bool:
         if self.only and not any(fnmatchcase(topic, pattern) for pattern in self.only):

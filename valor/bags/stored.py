@@ -1,15 +1,12 @@
-"""The messages that a bag of ROS 2 holds, as bytes, whoever wrote it and whatever became of it.
+"""Messages of a ROS 2 bag of any recorder as bytes, also if the bag is damaged.
 
-MCAP files, SQLite files and folders of either are read from the beginning to the end without an index. What is damaged
-is passed over, and told: an MCAP chunk that does not fit its checksum, rows that SQLite cannot reach, a missing end.
+MCAP files and folders of them are read from start to end without an index. Damage is skipped and reported: a chunk that
+does not match its checksum, a missing end.
 """
 
 from __future__ import annotations
 
-import contextlib
-import heapq
-import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -18,146 +15,101 @@ from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, 
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from valor.bags.errors import BagError
-from valor.bags.event import EVENT, Event
+from valor.bags.files import SUFFIX
+from valor.common.resources import robot_folder, robots
 
-MCAP_MAGIC = b"\x89MCAP"
-SQLITE_MAGIC = b"SQLite format 3\0"
-SUFFIXES = (".mcap", ".db3")
-_WINDOW = 1_000_000_000  # within which a bag's messages may stand out of order [ns]
-_FARTHEST = 1 << 32  # rows that may be unreachable between two that are not
+_MAGIC = b"\x89MCAP"
 
 
 @dataclass(frozen=True)
 class StoredTopic:
-    """A topic as the bag describes it.
+    """A topic according to the bag."""
 
-    Attributes:
-        type: as ``sensor_msgs/msg/JointState``.
-        definition: the text of the type with all it contains; empty: the bag has none.
-        encoding: of the definition, ``ros2msg`` or ``ros2idl``.
-        serialization: of its messages; ``cdr`` alone is understood.
-    """
-
-    name: str
-    type: str
-    definition: str
-    encoding: str = "ros2msg"
-    serialization: str = "cdr"
-    latched: bool = False  # late-comers got the last message
+    name: str  # of the topic
+    type: str  # such as ``sensor_msgs/msg/JointState``
+    definition: str  # text of the type and of the types that it contains; empty if the bag has none
+    encoding: str = "ros2msg"  # of the definition, ``ros2msg`` or ``ros2idl``
+    serialization: str = "cdr"  # of the messages; only ``cdr`` is supported
+    latched: bool = False  # late subscribers received the last message
 
 
 class StoredMessage(NamedTuple):
-    """A message as the bag has it; times in nanoseconds of the recorder's wall clock."""
+    """A message in the bag; times in nanoseconds of the recorder's wall clock."""
 
     topic: StoredTopic
     received: int
     data: bytes
-    sent: int  # by the publisher; SQLite bags do not say, it is ``received`` there
+    sent: int  # by the publisher
 
 
 @dataclass
 class Condition:
-    """What became clear of a bag while it was read.
+    """The condition of a bag, as far as it has been read."""
 
-    Attributes:
-        messages: read so far.
-        size: of its files [B].
-        damage: what is wrong, in lines; none: it is whole.
-        truncated: files that end in the middle, each a line of damage.
-        origin: the recorder's metadata ``valor``; empty in a bag of another recorder.
-        events: that the recorder noted, as they stand in the bag.
-    """
-
-    messages: int = 0
-    size: int = 0
-    damage: list[str] = field(default_factory=list)
-    truncated: int = 0
+    messages: int = 0  # number read
+    size: int = 0  # of the files [B]
+    damage: list[str] = field(default_factory=list)  # descriptions, one line each; empty if the bag is intact
+    truncated: int = 0  # number of files that end early; each is a line of ``damage``
+    # the recorder's metadata ``valor``; empty in a bag of another recorder
     origin: dict[str, str] = field(default_factory=dict)
-    events: list[Event] = field(default_factory=list)
 
 
 class StoredBag:
     """A bag, opened for reading.
 
     Attributes:
-        path: as given: a file, or a folder of files.
-        files: in their order.
-        condition: known when all is read.
+        condition: complete after the last message.
 
     Raises:
-        BagError: by the constructor: there is no bag there.
+        BagError: by the constructor: the path has no bag.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.files = _files(path)
+        self.path = path  # the file, or the folder of files
+        self.files = _files(path)  # in the order of recording
         self.condition = Condition(size=sum(file.stat().st_size for file in self.files))
 
     def messages(self) -> Iterator[StoredMessage]:
-        """Every message, in the order in which they stand."""
         for file in self.files:
-            with open(file, "rb") as opened:
-                is_sqlite = opened.read(len(SQLITE_MAGIC)) == SQLITE_MAGIC
-            read = _sqlite_messages if is_sqlite else _mcap_messages
-            for message in read(file, self.condition):
+            for message in _messages(file, self.condition):
                 self.condition.messages += 1
                 yield message
 
 
-def in_order(messages: Iterable[StoredMessage]) -> Iterator[StoredMessage]:
-    """By the time when they were received: a recorder writes what came on one topic, then on the next."""
-    waiting: list[tuple[int, int, StoredMessage]] = []
-    newest = 0
-    for number, message in enumerate(messages):
-        heapq.heappush(waiting, (message.received, number, message))
-        newest = max(newest, message.received)
-        while waiting[0][0] < newest - _WINDOW:
-            yield heapq.heappop(waiting)[2]
-    while waiting:
-        yield heapq.heappop(waiting)[2]
-
-
 def _files(path: Path) -> list[Path]:
     try:
-        if path.is_dir():
-            found = sorted((file for file in path.iterdir() if file.suffix in SUFFIXES), key=_place)
-            if not found:
-                raise BagError(f"{path}: no bag: expected files {' or '.join('*' + suffix for suffix in SUFFIXES)}")
-        else:
-            found = [path]
+        found = sorted(path.glob(f"*{SUFFIX}"), key=_position) if path.is_dir() else [path]
+        if not found:
+            raise BagError(f"{path}: no bag; expected files *{SUFFIX}")
         for file in found:
             with open(file, "rb") as opened:
-                magic = opened.read(len(SQLITE_MAGIC))
-            if magic != SQLITE_MAGIC and not magic.startswith(MCAP_MAGIC):
-                raise BagError(f"{file}: neither MCAP nor SQLite; expected a bag of ROS 2")
+                if opened.read(len(_MAGIC)) != _MAGIC:
+                    raise BagError(f"{file}: not MCAP; expected a bag of ROS 2 as MCAP; `rosbags-convert` converts")
     except OSError as error:
         raise BagError(f"{error.filename or path}: {error.strerror}; expected a bag of ROS 2") from None
     return found
 
 
-def _place(file: Path) -> tuple[str, int, str]:
-    """Splits end in their number, which is not always padded."""
+def _position(file: Path) -> tuple[str, int, str]:
+    """Sort key of the pieces of a bag, whose numbers are not always padded."""
     stem, _, number = file.stem.rpartition("_")
     return (stem, int(number), "") if number.isdecimal() else (file.stem, -1, "")
 
 
-# --- MCAP -----------------------------------------------------------------------------------------------------------
-
-
-def _mcap_messages(file: Path, condition: Condition) -> Iterator[StoredMessage]:
+def _messages(file: Path, condition: Condition) -> Iterator[StoredMessage]:
     schemas: dict[int, Schema] = {}
     topics: dict[int, StoredTopic] = {}
     lost = 0
     with open(file, "rb") as opened:
-        for record in _mcap_records(opened, file, condition):
+        for record in _records(opened, file, condition):
             contained: list[McapRecord] = [record]
             if isinstance(record, Chunk):
                 try:
                     contained = breakup_chunk(record, validate_crc=True)
-                except Exception as error:  # each decompressor has errors of its own
+                except Exception as error:  # each decompressor raises its own errors
                     lost += 1
                     if lost == 1:
-                        condition.damage.append(f"{file}: a damaged chunk is left out: {' '.join(str(error).split())}")
+                        condition.damage.append(f"{file}: a damaged chunk is left out: {_one_line(error)}")
                     continue
             for each in contained:
                 if isinstance(each, Message):
@@ -171,143 +123,52 @@ def _mcap_messages(file: Path, condition: Condition) -> Iterator[StoredMessage]:
         condition.damage.append(f"{file}: {lost} damaged chunks are left out")
 
 
-def _mcap_records(opened: BinaryIO, file: Path, condition: Condition) -> Iterator[McapRecord]:
-    """Every record outside chunks, as far as records can be told apart."""
-    reader = StreamReader(opened, emit_chunks=True)
-    finished = False
-    records = iter(reader.records)
-    while True:
-        at = opened.tell()
-        try:
-            record = next(records)
-        except StopIteration:
-            break
-        except Exception as error:  # each kind of record has errors of its own
-            size = file.stat().st_size
-            if opened.tell() < size:
-                text = " ".join(str(error).split()) or type(error).__name__
-                condition.damage.append(f"{file}: unreadable from byte {at} of {size} on: {text}")
-            elif not finished:
-                condition.truncated += 1
-                condition.damage.append(f"{file}: ends in the middle; {at} of {size} bytes are whole")
-            return
-        if isinstance(record, Metadata) and record.name == "valor":
-            condition.origin = dict(record.metadata)
-        elif isinstance(record, Metadata) and record.name == EVENT and (event := Event.of(record.metadata)):
-            condition.events.append(event)
-        finished |= isinstance(record, Footer)
-        yield record
+def _records(opened: BinaryIO, file: Path, condition: Condition) -> Iterator[McapRecord]:
+    """Every record outside chunks, up to the first that cannot be parsed."""
+    finished, at = False, 0
+    try:
+        for record in StreamReader(opened, emit_chunks=True).records:
+            if isinstance(record, Metadata) and record.name == "valor":
+                condition.origin = dict(record.metadata)
+            finished |= isinstance(record, Footer)
+            yield record
+            at = opened.tell()
+    except Exception as error:  # each kind of record raises its own errors
+        size = file.stat().st_size
+        if opened.tell() < size:
+            condition.damage.append(f"{file}: unreadable from byte {at} of {size} on: {_one_line(error)}")
+        elif not finished:
+            condition.truncated += 1
+            condition.damage.append(f"{file}: ends in the middle; {at} of {size} bytes are whole")
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _topic(channel: Channel, schema: Schema | None) -> StoredTopic:
     if schema is None:
         return StoredTopic(channel.topic, "", "", "", channel.message_encoding)
     text = schema.data.decode(errors="replace")
-    latched = _latched(channel.metadata.get("offered_qos_profiles", ""))
+    # rosbag2 writes the offered QoS as YAML, with words or, in older bags, numbers.
+    qos = channel.metadata.get("offered_qos_profiles", "")
+    latched = "durability: transient_local" in qos or "durability: 1" in qos
     return StoredTopic(channel.topic, schema.name, text, schema.encoding, channel.message_encoding, latched)
 
 
-def _latched(qos: str) -> bool:
-    """By rosbag2's YAML of the QoS offered, in words or, in older bags, in numbers."""
-    return "durability: transient_local" in qos or "durability: 1" in qos
+def origin_of(bag: Path) -> dict[str, str]:
+    """The recorder's metadata ``valor``; empty in a bag of another recorder. Raises ``BagError`` without a bag."""
+    stored = StoredBag(bag)
+    next(stored.messages(), None)  # the metadata precedes all messages
+    return stored.condition.origin
 
 
-# --- SQLite ---------------------------------------------------------------------------------------------------------
-
-
-def _sqlite_messages(file: Path, condition: Condition) -> Iterator[StoredMessage]:
-    with contextlib.closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as database:
-        database.execute("PRAGMA writable_schema=ON")  # else a truncated file cannot be read at all
-        try:
-            topics = _sqlite_topics(database)
-        except sqlite3.Error as error:
-            condition.damage.append(f"{file}: unreadable: {error}")
-            return
-        _note_missing_end(file, condition)
-        last, unreachable, garbled = 0, 0, False
-        while True:
-            try:
-                for row, topic, stamp, data in database.execute(
-                    "SELECT id, topic_id, timestamp, data FROM messages WHERE id > ? ORDER BY id", (last,)
-                ):
-                    if row <= last:  # a page that is there in part reads as zeros, from its first rows on
-                        garbled = True
-                        continue
-                    last = row
-                    if garbled:  # and of the next row the end is missing
-                        garbled = False
-                        continue
-                    if topic in topics and isinstance(data, bytes):
-                        yield StoredMessage(topics[topic], stamp, data, stamp)
-                break
-            except sqlite3.Error as error:
-                unreachable += 1
-                if unreachable == 1:
-                    condition.damage.append(f"{file}: rows behind the {last}th cannot be reached: {error}")
-                resumed = _next_readable(database, last)
-                if resumed is None:
-                    break
-                last = resumed - 1
-
-
-def _note_missing_end(file: Path, condition: Condition) -> None:
-    """Hold what the file's header says of its length against the length that it has."""
-    with open(file, "rb") as opened:
-        header = opened.read(32)
-    if len(header) < 32:
-        return
-    page = int.from_bytes(header[16:18], "big")
-    expected = (65536 if page == 1 else page) * int.from_bytes(header[28:32], "big")
-    size = file.stat().st_size
-    if size < expected:
-        condition.truncated += 1
-        condition.damage.append(f"{file}: ends in the middle; {size} of {expected} bytes are there")
-
-
-def _next_readable(database: sqlite3.Connection, last: int) -> int | None:
-    """The first row behind a hole in a damaged table: sought in steps that double, then halve; None: there is none."""
-    hole, far = last + 1, last + 2
-    while not _first_from(database, far)[0]:
-        hole, far = far, far + 2 * (far - last)
-        if far - last > _FARTHEST:
-            return None
-    while far - hole > 1:
-        middle = (hole + far) // 2
-        if _first_from(database, middle)[0]:
-            far = middle
-        else:
-            hole = middle
-    row = _first_from(database, far)[1]
-    return row if row is not None and row > last else None
-
-
-def _first_from(database: sqlite3.Connection, row: int) -> tuple[bool, int | None]:
-    """Whether the table can be read at a row, and the first that is there from it on."""
-    try:
-        found = database.execute(
-            "SELECT id FROM messages WHERE id >= ? AND length(data) >= 0 ORDER BY id LIMIT 1", (row,)
-        ).fetchone()
-    except sqlite3.Error:
-        return False, None
-    return True, None if found is None else int(found[0])
-
-
-def _sqlite_topics(database: sqlite3.Connection) -> dict[int, StoredTopic]:
-    definitions: dict[str, tuple[str, str]] = {}
-    with contextlib.suppress(sqlite3.Error):  # since rosbag2's schema 4
-        definitions = {
-            type_name: (text, encoding)
-            for type_name, encoding, text in database.execute(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-            )
-        }
-    columns = {row[1] for row in database.execute("PRAGMA table_info(topics)")}
-    qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
-    return {
-        number: StoredTopic(
-            name, type_name, *definitions.get(type_name, ("", "ros2msg")), serialization, _latched(offered)
-        )
-        for number, name, type_name, serialization, offered in database.execute(
-            f"SELECT id, name, type, serialization_format, {qos} FROM topics"  # one of two constants
-        )
-    }
+def robot_of(bag: Path, origin: Mapping[str, str]) -> Path:
+    """The folder of the robot in a bag; raises ``BagError`` if the bag names none that is installed."""
+    name, folder = origin.get("robot"), origin.get("robot_folder")
+    if folder and (Path(folder) / "robot.yaml").is_file():
+        return Path(folder)
+    if name in robots():
+        return robot_folder(name)
+    what = f"robot {name!r} is not installed" if name else "names no robot"
+    raise BagError(f"{bag}: {what}; expected --robot with one of {', '.join(robots())}, or its folder")

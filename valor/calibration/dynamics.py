@@ -1,14 +1,13 @@
-"""Friction of an arm's joints, masses and centres of mass of its links, found of the torques that move it.
+"""Identification of joint friction, and of mass and centre of mass of links, from joint torques.
 
 While a joint j moves, its motor's torque is
 
     τ_j = model_j(q, q̇, q̈) + gravity_j(q)·δ + friction_j·sign(q̇_j) + damping_j·q̇_j + offset_j,
 
-``model`` being inverse dynamics of the nominal model without friction, and ``gravity`` what a link's error δ of mass,
-and of mass times centre of mass, adds to it at rest (its part in accelerations is left out: arms move slowly here).
-All is linear, and found together by least squares that believe an outlier less (Huber). Not all of δ can be told
-apart by torques alone; what they say nothing of stays nominal, for errors are taken to be normal, as ``MASS_ERROR``,
-``COM_ERROR`` and ``OFFSET`` have them.
+``model`` is the inverse dynamics of the nominal model without friction. ``gravity`` is the static torque of errors δ of
+a link's mass, and of mass times centre of mass; their part in accelerations is neglected, since arms move slowly here.
+All unknowns are estimated jointly by linear least squares with Huber weights. Torques do not determine all of δ: normal
+priors with ``MASS_ERROR``, ``COM_ERROR`` and ``OFFSET`` keep the undetermined part nominal.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import lsq_linear
 from scipy.signal import savgol_filter
 
@@ -26,52 +24,38 @@ from valor.calibration.record import Record
 from valor.common.arrays import FloatArray
 from valor.robot.model import Model
 
-MASS_ERROR = 0.2  # standard deviation, share of a link's mass
-COM_ERROR = 0.03  # likewise, along each axis [m]
-OFFSET = 1.0  # likewise [N·m]
-TORQUE_ERROR = 1.0  # of one moment, which errs as those around it [N·m]
-MOST_MASS, MOST_COM = 0.7, 0.15  # most that a link's mass is off, as a share; its CoM [m]
-MOVING = 0.06  # from which on friction acts one way [rad/s]
-HUBER = 1.5  # residual that is believed less, times the typical one
+MASS_ERROR = 0.2  # standard deviation of a link's mass, as a share of it
+COM_ERROR = 0.03  # standard deviation of a link's CoM along each axis [m]
+OFFSET = 1.0  # standard deviation of a joint's offset [N·m]
+TORQUE_ERROR = 1.0  # standard deviation of a moment, which correlates with its neighbours [N·m]
+MOST_MASS, MOST_COM = 0.7, 0.15  # largest error of a link's mass, as a share of it, and of its CoM [m]
+MOVING = 0.06  # speed from which friction has one direction [rad/s]
+HUBER = 1.5  # residual with full weight, at most, times the typical one
 ROUNDS = 6
 SMOOTHED = 11  # moments over which velocity is derived
 
 
 @dataclass(frozen=True)
 class Friction:
-    """A joint: Coulomb [N·m], viscous [N·m·s/rad], offset [N·m]; RMS of what is left, and by nominal numbers [N·m]."""
+    """Friction of a joint, and the RMS torque errors that remain, as identified and of the nominal model [N·m]."""
 
-    coulomb: float
-    viscous: float
-    offset: float
+    coulomb: float  # [N·m]
+    viscous: float  # [N·m·s/rad]
+    offset: float  # [N·m]
     residual: float
     nominal_residual: float
 
 
 @dataclass(frozen=True)
-class Link:
-    """A body: mass [kg] and centre of mass (3,) in its frame [m]."""
+class BodyInertia:
+    """Mass [kg] and centre of mass (3,) in its frame [m] of a body."""
 
     mass: float
     com: FloatArray
 
 
-@dataclass(frozen=True)
-class Torques:
-    """Of the arm's m joints at T moments (T, m) [N·m]: measured, by nominal numbers, as found.
-
-    Beside them the joints' velocities [rad/s], and where these are enough to be gone by.
-    """
-
-    velocity: FloatArray
-    measured: FloatArray
-    nominal: FloatArray
-    found: FloatArray
-    moving: npt.NDArray[np.bool_]
-
-
 def links(model: Model, joints: tuple[str, ...]) -> list[int]:
-    """Of each joint the body that its errors are ascribed to: of those that it turns as one, the heaviest."""
+    """Body of each joint to which errors are attributed: the heaviest of those that it moves rigidly."""
     mj = model.mj
     chosen = []
     for name in joints:
@@ -82,7 +66,7 @@ def links(model: Model, joints: tuple[str, ...]) -> list[int]:
 
 
 class Regressor:
-    """The nominal model's torques of an arm's m joints, and what errors of its links add to them."""
+    """Nominal torques of an arm's m joints, and their derivatives by errors of its links."""
 
     def __init__(self, model: Model, joints: tuple[str, ...]) -> None:
         self._mj = mj = copy.copy(model.mj)
@@ -95,12 +79,12 @@ class Regressor:
         self._gravity = float(np.linalg.norm(mj.opt.gravity))
 
     def place(self, orientation: FloatArray, position: FloatArray) -> None:
-        """Bring the base (4,) and all joints (n,) there."""
+        """Set the orientation of the base (4,) and all joints (n,)."""
         self._data.qpos[:3], self._data.qpos[3:7] = 0.0, orientation
         self._data.qpos[self._qpos] = position
 
     def torque(self, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """(m,) by the nominal model, the arm (m,) moving so and all else at rest [N·m]."""
+        """(m,) torques of the nominal model [N·m]; the joints (m,) move, all others are at rest."""
         data = self._data
         data.qvel[:], data.qacc[:] = 0.0, 0.0
         data.qvel[self._dofs], data.qacc[self._dofs] = velocity, acceleration
@@ -109,7 +93,7 @@ class Regressor:
         return torque
 
     def gravity(self) -> FloatArray:
-        """(m, 4·m) what a kilogram more of each link adds, and a kilogram times its CoM's shift along x, y, z [N·m]."""
+        """(m, 4·m) derivatives by each link's mass, and by mass times CoM along x, y, z [N·m/kg, N·m/(kg·m)]."""
         mj, data, dofs = self._mj, self._data, self._dofs
         mujoco.mj_kinematics(mj, data)
         mujoco.mj_comPos(mj, data)
@@ -125,16 +109,10 @@ class Regressor:
 
 def identify(
     model: Model, joints: tuple[str, ...], record: Record
-) -> tuple[dict[str, Friction], dict[str, Link], Torques]:
-    """Find friction of an arm's joints and errors of its links.
+) -> tuple[dict[str, Friction], dict[str, BodyInertia]]:
+    """Identify friction by joint, and masses and CoMs by body, of an arm.
 
-    Args:
-        model: nominal, every joint in it.
-        joints: of the arm, m of them.
-        record: of its motions; at least ``SMOOTHED`` moments.
-
-    Returns:
-        By joint, by body, and the torques that they explain.
+    ``model``: nominal, with every joint; ``record``: at least ``SMOOTHED`` moments.
     """
     places, m = [model.robot.index[name] for name in joints], len(joints)
     velocity, effort = record.velocity[:, places], record.effort[:, places]
@@ -158,24 +136,22 @@ def identify(
 
     explained = nominal + columns @ found
     known = [model.robot.tables.joints[name].damping for name in joints]
-    torques = Torques(velocity, effort, nominal + velocity * known, explained, moving)
     friction = {}
     for j, name in enumerate(joints):
         coulomb, viscous, offset = found[4 * m + 3 * j : 4 * m + 3 * j + 3].tolist()
-        left, nominal_left = (_rms((effort - by)[moving[:, j], j]) for by in (explained, torques.nominal))
+        left, nominal_left = (_rms((effort - by)[moving[:, j], j]) for by in (explained, nominal + velocity * known))
         friction[name] = Friction(coulomb, viscous, offset, left, nominal_left)
     made = {}
     for i, body in enumerate(bodies):
         mass = float(masses[i] + found[4 * i])
         com = model.mj.body_ipos[body] + found[4 * i + 1 : 4 * i + 4] / mass
-        made[model.mj.body(body).name] = Link(mass, com)
-    return friction, made, torques
+        made[model.mj.body(body).name] = BodyInertia(mass, com)
+    return friction, made
 
 
 def _modelled(regressor: Regressor, record: Record, places: list[int]) -> tuple[FloatArray, FloatArray]:
-    """(T, m) the nominal model's torques; (T, m, 4·m) what errors add."""
+    """Nominal torques (T, m), and their derivatives by errors of links (T, m, 4·m)."""
     velocity = record.velocity[:, places]
-    # Joints' encoders are better than their velocities; both are derived over the same moments.
     step = float(np.median(np.diff(record.time)))
     acceleration = savgol_filter(velocity, SMOOTHED, 2, deriv=1, delta=step, axis=0)
     smooth = savgol_filter(velocity, SMOOTHED, 2, axis=0)
@@ -190,18 +166,17 @@ def _modelled(regressor: Regressor, record: Record, places: list[int]) -> tuple[
 def _solve(
     columns: FloatArray, wanted: FloatArray, weight: FloatArray, bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """(k,) least squares within bounds, each unknown held to zero by its weight (k,)."""
+    """(k,) least squares within bounds; the weights (k,) draw each unknown to zero."""
     trust = np.ones(len(wanted))
     for _ in range(ROUNDS):
         trusted = columns * trust[:, None]
-        # The same in as many rows as there are unknowns.
+        # An equivalent problem with as many rows as unknowns.
         factor = np.linalg.cholesky(trusted.T @ columns + np.diag(weight * weight + 1e-9))
         found = lsq_linear(factor.T, np.linalg.solve(factor, trusted.T @ wanted), bounds).x
         off = np.abs(wanted - columns @ found)
         most = HUBER * max(1.4826 * float(np.median(off)), 1e-9)
         trust = np.minimum(1.0, most / np.maximum(off, 1e-12))
-    solution: FloatArray = found
-    return solution
+    return np.asarray(found)
 
 
 def _rms(values: FloatArray) -> float:

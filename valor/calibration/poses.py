@@ -1,4 +1,4 @@
-"""Postures of an arm that tell the most of its links, and that it reaches without touching anything."""
+"""Informative poses of an arm, with paths free of collisions."""
 
 from __future__ import annotations
 
@@ -10,35 +10,31 @@ from valor.common.arrays import FloatArray
 from valor.common.errors import ValorError
 from valor.robot.model import Model
 
-INSIDE = 0.2  # from the joints' limits [rad]
-ENDLESS = 3.0  # from zero at most, of a joint that turns without end [rad]
-CLEAR = 0.03  # between any two parts of the robot [m]
-NEARER = 0.002  # than in the beginning, that makes no difference [m]
-LOOKS = 16  # along a way
-CANDIDATES = 24  # that the next one is chosen from
-TRIES = 3000  # in which they are looked for
+INSIDE = 0.2  # distance from the joints' limits [rad]
+ENDLESS = 3.0  # largest angle of a joint without limits [rad]
+CLEAR = 0.03  # distance between any two parts of the robot [m]
+NEARER = 0.002  # tolerated approach of parts that are nearer at the start [m]
+LOOKS = 16  # samples along a path
+CANDIDATES = 24  # for the next pose
+TRIES = 3000  # to find candidates
 
 
 class NoPoseError(ValorError):
-    """The arm cannot go anywhere from where it is."""
+    """No pose is reachable from the present one."""
 
 
 class Poses:
-    """Chosen one after the other, each from where the one before has the arm."""
+    """Sequence of poses, each reachable from the previous one."""
 
     def __init__(self, model: Model, group: str, position: FloatArray, seed: int = 0) -> None:
-        """Of an arm.
+        """Start at a posture (n,) of the robot [rad]; only the arm ``group`` changes.
 
-        Args:
-            model: every joint in it, with the shapes that collide (``full_model(robot, "collision")``).
-            group: of robot.yaml, such as ``left_arm``.
-            position: (n,) the posture that the robot is in [rad]; all but the arm stays so.
-            seed: of the candidates.
+        ``model``: with every joint and the collision shapes (``full_model(robot, "collision")``).
         """
         robot = model.robot
         self._model, self._data = model, mujoco.MjData(model.mj)
         self._mj = mj = model.mj
-        mj.geom_margin[:] = np.maximum(mj.geom_margin, CLEAR)  # of two shapes the greater counts
+        mj.geom_margin[:] = np.maximum(mj.geom_margin, CLEAR)  # the larger margin of two shapes applies
         self._joints = tuple(robot.tables.group(group))
         self._arm = robot.group_indices(group)
         self._group, self._rng = group, np.random.default_rng([seed, 7])
@@ -49,15 +45,11 @@ class Poses:
         masses = mj.body_mass[self._regressor.bodies]
         self._scale = np.column_stack((MASS_ERROR * masses, *[COM_ERROR * masses] * 3)).reshape(-1) / TORQUE_ERROR
         self._position = position.copy()
-        self._way = [position[self._arm].copy()]  # that the arm has come
+        self._way = [position[self._arm].copy()]  # poses so far
         self._known = np.eye(4 * len(self._joints))
 
     def next(self) -> FloatArray:
-        """(m,) where the arm shall go from where it is [rad].
-
-        Raises:
-            NoPoseError: every way begins with a touch, or ends in one.
-        """
+        """Return the next pose (m,) [rad]; raises ``NoPoseError`` if no path is free."""
         position = self._with(self._way[-1])
         best, most, found = None, -np.inf, 0
         for _ in range(TRIES):
@@ -65,36 +57,32 @@ class Poses:
             if not self.clear(position, goal):
                 continue
             rows = self._rows(goal)
-            told = float(np.linalg.slogdet(self._known + rows.T @ rows)[1])
-            if told > most:
-                best, most = (goal, rows), told
+            information = float(np.linalg.slogdet(self._known + rows.T @ rows)[1])
+            if information > most:
+                best, most = (goal, rows), information
             found += 1
             if found == CANDIDATES:
                 break
         if best is None:
-            raise NoPoseError(f"{self._group}: no way from where it is that keeps {CLEAR * 100:g} cm off everything")
+            raise NoPoseError(f"{self._group}: no free path from its position with {CLEAR * 100:g} cm to everything")
         self._known += best[1].T @ best[1]
         self._way.append(best[0])
         return best[0]
 
     def back(self, at: FloatArray, reached: int) -> list[FloatArray]:
-        """(m,) each, one after the other: where the arm shall go to be where it was in the beginning [rad].
+        """Positions (m,) [rad] on the way back to the start: straight if that path is free, else by the poses.
 
-        Straight where nothing is in between, else by the way that it came.
-
-        Args:
-            at: (m,) where it is [rad], in a pose or on the way to the next.
-            reached: poses that it has been in.
+        ``at``: (m,) position [rad], in a pose or on the way to the next; ``reached``: number of poses reached.
         """
-        came, made = self._way[: reached + 1], list[FloatArray]()
-        while len(came) > 1 and not self.clear(self._with(at), came[0]):
-            made.append(at := came.pop())
+        reached_poses, made = self._way[: reached + 1], list[FloatArray]()
+        while len(reached_poses) > 1 and not self.clear(self._with(at), reached_poses[0]):
+            made.append(at := reached_poses.pop())
         return [*made, self._way[0]]
 
     def clear(self, position: FloatArray, goal: FloatArray) -> bool:
-        """Whether the way of the arm from a posture (n,) of the robot to (m,) keeps off everything [rad].
+        """Return whether the arm's path from a posture (n,) of the robot to (m,) is free [rad].
 
-        What is nearer than ``CLEAR`` in the beginning may stay so, and come no nearer.
+        Parts that are nearer than ``CLEAR`` at the start may stay so, but come no nearer.
         """
         start = position[self._arm]
         whole = position.copy()
@@ -106,13 +94,12 @@ class Poses:
         return True
 
     def _with(self, goal: FloatArray) -> FloatArray:
-        """(n,) the robot's posture with the arm there."""
         whole = self._position.copy()
         whole[self._arm] = goal
         return whole
 
     def _near(self, position: FloatArray) -> dict[tuple[int, int], float]:
-        """Pairs of shapes that are nearer than ``CLEAR``, and how near [m]."""
+        """Distances of shapes that are nearer than ``CLEAR``, by pair [m]."""
         data = self._data
         data.qpos[:] = self._model.nominal_qpos()
         data.qpos[self._qpos] = position

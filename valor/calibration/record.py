@@ -1,10 +1,8 @@
-"""What sensors and commands say of a robot while its arm moves, in blocks of some control periods."""
+"""Record of sensors and commands during a motion, averaged over blocks of control periods."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Self
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,40 +10,27 @@ from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor, Proprioceptor
 from valor.robot.description import RobotDescription
 
-BLOCK = 0.01  # over which is averaged [s]
+BLOCK = 0.01  # averaged [s]
 
 
 @dataclass(frozen=True)
 class Record:
-    """T moments of a robot of n joints.
+    """T moments of a robot of n joints."""
 
-    Attributes:
-        time: (T,) [s].
-        orientation: (T, 4) of the base in the world, whose z is up: w, x, y, z.
-        position, velocity, effort: (T, n) measured [rad, rad/s, N·m].
-        wanted_position, wanted_velocity, wanted_effort: (T, n) of the Motor that acted.
-        stiffness, damping: (T, n) of the servos by that Motor [N·m/rad, N·m·s/rad].
-    """
-
-    time: FloatArray
-    orientation: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    effort: FloatArray
-    wanted_position: FloatArray
-    wanted_velocity: FloatArray
-    wanted_effort: FloatArray
-    stiffness: FloatArray
-    damping: FloatArray
-
-    @classmethod
-    def joined(cls, records: Sequence[Self]) -> Self:
-        """Several, one after the other."""
-        return cls(*(np.concatenate([getattr(each, field.name) for each in records]) for field in fields(cls)))
+    time: FloatArray  # (T,) [s]
+    orientation: FloatArray  # (T, 4) of the base in the world (z up), as w, x, y, z
+    position: FloatArray  # (T, n) measured [rad]
+    velocity: FloatArray  # (T, n) measured [rad/s]
+    effort: FloatArray  # (T, n) measured [N·m]
+    wanted_position: FloatArray  # (T, n) of the Motor that acted [rad]
+    wanted_velocity: FloatArray  # (T, n) of that Motor [rad/s]
+    wanted_effort: FloatArray  # (T, n) of that Motor [N·m]
+    stiffness: FloatArray  # (T, n) of the servos by that Motor [N·m/rad]
+    damping: FloatArray  # (T, n) of the servos by that Motor [N·m·s/rad]
 
 
 class Recorder:
-    """Makes a ``Record`` of messages as they come."""
+    """Builds a ``Record`` from received messages."""
 
     def __init__(self, robot: RobotDescription) -> None:
         self._robot = robot
@@ -53,17 +38,8 @@ class Recorder:
         self._rows: list[FloatArray] = []
         self._waiting: list[FloatArray] = []
 
-    def __len__(self) -> int:
-        return len(self._rows)
-
     def add(self, measured: Proprioceptor, acting: Motor, orientation: FloatArray) -> None:
-        """A control period.
-
-        Args:
-            measured: what the devices said.
-            acting: the Motor that acted then, whose sequence is ``measured.motor_sequence``.
-            orientation: (4,) of the base, as estimated.
-        """
+        """Add a control period: the measurements, the Motor that acted then, the estimated base orientation (4,)."""
         robot = self._robot
         position = acting.mode == JointMode.POSITION
         self._waiting.append(
@@ -87,11 +63,11 @@ class Recorder:
             self._waiting.clear()
 
     def interrupt(self) -> None:
-        """What comes next does not follow what came last."""
+        """Discard the incomplete block, after lost messages."""
         self._waiting.clear()
 
     def record(self) -> Record:
-        """All that was added since the last call; at least one block must have been."""
+        """Everything added since the last call, at least one block."""
         rows, n = np.array(self._rows), len(self._robot.joints)
         self._rows.clear()
         self._waiting.clear()

@@ -1,9 +1,8 @@
-"""Behaviors and control modes: what the robot may be told to do, and by which words.
+"""Behaviors and control modes of the robot, with their names on Bifrost and ROS; spelled nowhere else.
 
-A *behavior* is the Motion Manager's. Each is a combination of states of three internal machines (thesis, table 3.1 and
-figure 3.7): Locomotion (legs), Manipulation (arms, hands and waist) and Attention (neck); everything that is true of a
-behavior follows from them. A *control mode* is the Valor ROS Controller's; ``control_modes.yaml`` says which behaviors
-it asks for. The values are the names on Bifrost and ROS; no other module spells them.
+A *behavior* of the Motion Manager combines states of three machines (thesis, table 3.1 and figure 3.7): Locomotion
+(legs), Manipulation (arms, hands and waist) and Attention (neck). A *control mode* is the Valor ROS Controller's;
+``control_modes.yaml`` lists the behaviors that it requests.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from enum import StrEnum
 
 
 class Locomotion(StrEnum):
-    """States of the Locomotion FSM: how the robot carries itself."""
+    """States of the Locomotion FSM, which controls the legs."""
 
     IDLE = "idle"
     STAND_PREP = "stand_prep"
@@ -27,33 +26,33 @@ class Locomotion(StrEnum):
 
     @property
     def stepping(self) -> bool:
-        """It takes steps: those of a plan, or those of a velocity."""
+        """True if the robot takes steps, of a plan or of a velocity."""
         return self in (Locomotion.STEP, Locomotion.WALK)
 
     @property
     def recovering(self) -> bool:
-        """A robot at rest steps by itself when its feet cannot hold it. In Soft Stop nothing begins any more."""
+        """True if the robot takes recovery steps to keep its balance; in Soft Stop it starts none."""
         return self is Locomotion.STAND or self.stepping
 
     @property
     def balancing(self) -> bool:
-        """The Whole-Body Controller has the legs."""
+        """True if the Whole-Body Controller controls the legs."""
         return self is Locomotion.SOFT_STOP or self.recovering
 
 
 class Manipulation(StrEnum):
-    """States of the Manipulation FSM: whom the arms, hands and waist follow."""
+    """States of the Manipulation FSM: command source of arms, hands and waist."""
 
-    LOCKED = "locked"  # nobody: they stay where they are
+    LOCKED = "locked"  # none: they hold their positions
     SLAVE = "slave"  # the nominal posture
-    TELEOP = "teleop"  # set-points from outside
+    TELEOP = "teleop"  # set-points of clients
 
 
 class Attention(StrEnum):
-    """States of the Attention FSM: whom the neck follows."""
+    """States of the Attention FSM: command source of the neck."""
 
-    LOCKED = "locked"  # nobody: it stays where it is
-    LOOK = "look"  # set-points from outside
+    LOCKED = "locked"  # none: it holds its position
+    LOOK = "look"  # set-points of clients
 
 
 class Behavior(StrEnum):
@@ -74,32 +73,32 @@ class Behavior(StrEnum):
 
     @property
     def locomotion(self) -> Locomotion:
-        """How the robot carries itself in it."""
+        """State of the Locomotion FSM."""
         return INTERNAL_STATES[self][0]
 
     @property
     def balancing(self) -> bool:
-        """The Whole-Body Controller has the legs."""
+        """True if the Whole-Body Controller controls the legs."""
         return self.locomotion.balancing
 
     @property
     def operational(self) -> bool:
-        """The robot balances and takes commands."""
+        """True if the robot balances and accepts commands."""
         return self.locomotion.recovering
 
     @property
     def manipulating(self) -> bool:
-        """Arms, hands and waist follow set-points from outside."""
+        """True if arms, hands and waist follow set-points of clients."""
         return INTERNAL_STATES[self][1] is Manipulation.TELEOP
 
     @property
     def stopped(self) -> bool:
-        """The robot was brought to a stop on its feet, and takes no commands but those that lead on."""
+        """True if the robot is stopped on its feet; it then accepts only requests for other behaviors."""
         return self in (Behavior.SOFT_STOP, Behavior.FREEZE)
 
     @property
     def fallen(self) -> bool:
-        """The robot is limp, or on its way up from the floor."""
+        """True if the robot is limp, or gets up from the floor."""
         return self in (Behavior.FALL, Behavior.GET_UP)
 
 
@@ -119,12 +118,34 @@ INTERNAL_STATES: Mapping[Behavior, tuple[Locomotion, Manipulation, Attention]] =
     _B.FALL:             (_L.FALL,       _M.LOCKED, _A.LOCKED),
     _B.GET_UP:           (_L.GET_UP,     _M.LOCKED, _A.LOCKED),
 }  # fmt: skip
-"""Table 3.1. The neck stays closed in Stand Prep, where every joint goes to the nominal posture."""
+"""Table 3.1. The neck is locked in Stand Prep, in which every joint moves to the nominal posture."""
 
-NOTHING_TO_LEAD = "this robot has neither arms nor hands nor a waist to lead"
-"""Why no behavior that manipulates is for a robot of which legs and neck are all that moves."""
+BEHAVIOR_TRANSITIONS: Mapping[Behavior, Mapping[Behavior, str]] = {
+    _B.IDLE: {_B.STAND_PREP: "T", _B.FREEZE: "I"},
+    _B.STAND_PREP: {_B.IDLE: "I", _B.STAND: "T", _B.FREEZE: "I"},
+    _B.STAND: {_B.STAND_PREP: "P", _B.STAND_MANIPULATE: "T", _B.STEP: "P", _B.WALK: "P", _B.SOFT_STOP: "T",
+               _B.FREEZE: "I", _B.FALL: "T"},
+    _B.STAND_MANIPULATE: {_B.STAND: "T", _B.STEP: "I2", _B.WALK: "I2", _B.SOFT_STOP: "T", _B.FREEZE: "I",
+                          _B.FALL: "T"},
+    _B.STEP: {_B.STAND: "P", _B.STEP_MANIPULATE: "T", _B.SOFT_STOP: "T", _B.FALL: "T"},
+    _B.STEP_MANIPULATE: {_B.STAND: "I2", _B.STEP: "T", _B.SOFT_STOP: "T", _B.FALL: "T"},
+    _B.WALK: {_B.STAND: "P", _B.WALK_MANIPULATE: "T", _B.SOFT_STOP: "T", _B.FALL: "T"},
+    _B.WALK_MANIPULATE: {_B.STAND: "I2", _B.WALK: "T", _B.SOFT_STOP: "T", _B.FALL: "T"},
+    _B.SOFT_STOP: {_B.STAND: "I", _B.FREEZE: "I", _B.FALL: "I"},
+    _B.FREEZE: {_B.IDLE: "I", _B.STAND_PREP: "P", _B.FALL: "I"},
+    _B.FALL: {_B.FREEZE: "I", _B.GET_UP: "T"},
+    _B.GET_UP: {_B.STAND_PREP: "I", _B.FALL: "I"},
+}  # fmt: skip
+"""Figure 3.8: from → to → source. The internal machines follow the behavior.
 
-# For names as they come off the wire, which need not be those of a behavior: `name in FALLEN`.
+Sources: ``T`` thesis text, ``P`` public predecessors (ViGIR, Boston Dynamics, THOR), ``I`` inferred, ``I2`` needed
+because a control mode is always reached by two commands, a base behavior and then its Manipulate variant.
+"""
+
+NOTHING_TO_LEAD = "this robot has no arms, hands or waist to control"
+"""Rejection of behaviors with manipulation for a robot with legs and neck only."""
+
+# For received names, which may be no behavior: `name in FALLEN`.
 BALANCING = frozenset(behavior for behavior in Behavior if behavior.balancing)
 OPERATIONAL = frozenset(behavior for behavior in Behavior if behavior.operational)
 STANDING = frozenset(behavior for behavior in Behavior if behavior.locomotion is Locomotion.STAND)
@@ -135,20 +156,20 @@ STOPPED = frozenset(behavior for behavior in Behavior if behavior.stopped)
 FALLEN = frozenset(behavior for behavior in Behavior if behavior.fallen)
 
 REFLEX = "reflex"
-"""In a behavior's place while the Comms Manager itself brings a robot to stand whose Motion Manager fell silent."""
+"""Replaces a behavior's name while the Comms Manager stops the robot after a timeout of the Motion Manager."""
 
 
 class Reaction(StrEnum):
-    """What the devices' condition demands of the Motion System (``DeviceStatus.reaction``), the mildest first."""
+    """Required reaction of the Motion System to device faults (``DeviceStatus.reaction``), the mildest first."""
 
-    KEEP_BALANCE = "keep_balance"  # go on: balance does not need the unit
-    SOFT_STOP = "soft_stop"  # come to rest, keep balance, obey no commands from outside
-    HOLD = "hold"  # every joint stays, on its own servo: the balance cannot be known any more
-    LIMP = "limp"  # no torque: nothing holds the robot, and what would hold parts of it does harm
+    KEEP_BALANCE = "keep_balance"  # continue: the unit is not needed for balance
+    SOFT_STOP = "soft_stop"  # come to rest, keep balance, reject commands
+    HOLD = "hold"  # hold all joints by their servos: the balance is unknown
+    LIMP = "limp"  # no torque: nothing can hold the robot, and holding parts of it would do harm
 
     @property
     def severity(self) -> int:
-        """0 of the mildest."""
+        """Rank, 0 for the mildest."""
         return list(Reaction).index(self)
 
 
@@ -156,21 +177,21 @@ _REQUESTED_BY = "requested by "
 
 
 def requested_by(origin: str) -> str:
-    """The reason of a change of behavior that the node ``origin`` asked for, as ``MotionState`` and others say it."""
+    """Reason of a behavior change that the node ``origin`` requested, as in ``MotionState``."""
     return _REQUESTED_BY + origin
 
 
 class Obstacle(StrEnum):
-    """What a request for a behavior is refused for, as ``BehaviorReply`` says it."""
+    """Cause of the rejection of a behavior request, as in ``BehaviorReply``."""
 
-    NONE = ""  # it is not
-    TRANSITION = "transition"  # the table leads there from elsewhere only
-    CONDITION = "condition"  # the robot is not fit for it now
-    WAIT = "wait"  # it will be, by itself: ask again
+    NONE = ""  # accepted
+    TRANSITION = "transition"  # no such transition in the table
+    CONDITION = "condition"  # the robot's state does not allow it
+    WAIT = "wait"  # temporary: repeat the request later
 
 
 def requester(reason: str) -> str:
-    """The node that asked for a change of behavior, by the change's reason; empty: nobody did, it came by itself."""
+    """The node that requested a behavior change, from the reason; empty: automatic change."""
     return reason.removeprefix(_REQUESTED_BY) if reason.startswith(_REQUESTED_BY) else ""
 
 
@@ -195,4 +216,4 @@ STEPPING_MODES = frozenset((ControlMode.STEP, ControlMode.STEP_MANIPULATE))
 WALKING_MODES = frozenset((ControlMode.WALK, ControlMode.WALK_MANIPULATE))
 
 EMERGENCY_STOP = "emergency_stop"
-"""Asked for in a control mode's place: whichever stops the robot from where it is."""
+"""Requested instead of a control mode: the mode that stops the robot from its present state."""

@@ -1,4 +1,4 @@
-"""Errors that carry one line for a person: file, key, what was expected."""
+"""Errors whose text is one line for the user: file, key, value, expectation."""
 
 from __future__ import annotations
 
@@ -6,20 +6,15 @@ from collections.abc import Iterable
 
 
 class ValorError(Exception):
-    """Base of every error that the project raises on purpose. Its text is one line; of several faults, one each."""
+    """Base of all errors raised on purpose. The text is one line for each fault."""
 
 
 class ConfigurationError(ValorError):
-    """A file or a setting is missing or wrong: names the file, the key and what was expected."""
+    """A file or a setting is missing or wrong; names the file, the key and the expectation."""
 
 
 class SeveralFaultsError(ConfigurationError):
-    """Several things are missing or wrong: a line for each.
-
-    Attributes:
-        faults: one error each.
-        unchecked: what could not be looked at because of them, a line each.
-    """
+    """Several faults, and the checks that they prevented, ``unchecked``; one line each."""
 
     def __init__(self, faults: Iterable[ConfigurationError], unchecked: Iterable[str] = ()) -> None:
         self.faults = tuple(faults)
@@ -28,27 +23,19 @@ class SeveralFaultsError(ConfigurationError):
 
     @classmethod
     def each(cls, error: ConfigurationError) -> tuple[ConfigurationError, ...]:
-        """The faults that an error stands for."""
+        """The single faults of an error."""
         return error.faults if isinstance(error, cls) else (error,)
 
     @classmethod
     def require_none(cls, faults: Iterable[ConfigurationError]) -> None:
-        """Raise them; one alone as it is.
-
-        Raises:
-            ConfigurationError: there are any.
-        """
+        """Raise the faults, if there are any; a single fault as it is."""
         found = list(faults)
         if found:
             raise found[0] if len(found) == 1 else cls(found)
 
 
 class RefusalError(ValorError):
-    """A command that is not obeyed, and why.
-
-    Attributes:
-        kind: one word for what is wrong with it.
-    """
+    """Rejection of a command: ``kind``, one word for the cause, and the reason."""
 
     def __init__(self, kind: str, reason: str) -> None:
         super().__init__(reason)
@@ -56,13 +43,7 @@ class RefusalError(ValorError):
 
 
 def expected(value: str, known: Iterable[str], besides: str = "") -> str:
-    """What to say of a value that is none of those known: which are, and which of them it nearly is.
-
-    Args:
-        value: what was given.
-        known: what it could have been.
-        besides: what else it could have been, in words.
-    """
+    """Text about a value that is not among the allowed ones: these, ``besides`` them, and the most similar one."""
     from difflib import get_close_matches
 
     names = list(known)
@@ -74,11 +55,7 @@ def expected(value: str, known: Iterable[str], besides: str = "") -> str:
 
 
 def require_one_of(what: str, value: str, known: Iterable[str]) -> None:
-    """Check a value against those known.
-
-    Raises:
-        ConfigurationError: it is none of them; lists them.
-    """
+    """Raise ConfigurationError, with all allowed values, if a value is not among them."""
     names = list(known)
     if value not in names:
         raise ConfigurationError(f"{what} {expected(value, names)}")

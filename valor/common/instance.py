@@ -1,11 +1,11 @@
 """An instance: one running robot system with its own folder, Bifrost network, ROS domain and settings.
 
-``valorctl up`` writes the settings to ``<home>/<name>/instance.json``; every service reads them from there, named by
-``VALOR_HOME`` and ``VALOR_INSTANCE`` in its environment. Two instances share nothing.
+``VALOR_HOME`` and ``VALOR_INSTANCE`` name the settings, ``<home>/<name>/instance.json``; ``valorctl up`` writes them.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Sequence
@@ -15,17 +15,16 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, field
 
-from valor.common.bounds import Bounds
 from valor.common.errors import ConfigurationError
 from valor.common.resources import middleware_profile
-from valor.common.table import Table, TableError, checked, plain
+from valor.common.table import Positive, Table, TableError, checked, plain
 
 DEFAULT_NAME = "default"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,31}")
-_TOKEN = r"[A-Za-z](?:_?[A-Za-z0-9])*"  # of a ROS name that is not hidden
+_TOKEN = r"[A-Za-z](?:_?[A-Za-z0-9])*"  # part of a ROS name that is not hidden
 _NAMESPACE = re.compile(rf"{_TOKEN}(?:/{_TOKEN})*")
-_LONGEST_NAMESPACE = 64  # a topic's whole name is bounded by the middleware: 255
-_BAG = "bifrost"  # where bags have the Motion System's messages
+_LONGEST_NAMESPACE = 64  # the middleware limits complete names of topics to 255
+_BAG = "bifrost"  # prefix of the Motion System's topics in bags
 
 ClockMode = Literal["lockstep", "realtime"]
 Variant = Literal["simulation", "hardware"]
@@ -33,11 +32,7 @@ RosCommands = Literal["all", "none"]
 
 
 def ros_namespace(text: str) -> str:
-    """A namespace as the settings hold it: without the slash that it may begin with; empty: none.
-
-    Raises:
-        ConfigurationError: it is none.
-    """
+    """A namespace as in the settings, without a leading slash; empty: none. Raises ConfigurationError."""
     name = text.removeprefix("/")
     if not name:
         return ""
@@ -51,86 +46,133 @@ def ros_namespace(text: str) -> str:
 
 
 def frame_prefix(namespace: str) -> str:
-    """What the names in tf of a robot's frames begin with."""
+    """Prefix of the robot's frames in tf."""
     return f"{namespace}/" if namespace else ""
 
 
-class Recording(Table):
-    """What the recorder keeps, and in which pieces."""
+DAY = 86400.0  # [s]
+# The piece in progress cannot be removed, so it is limited to this fraction of all recordings.
+PIECES = 8
+LEAST_PIECE = 1 << 20  # [B]
 
-    only: tuple[str, ...] = ()  # shell patterns of topics' names in the bag; none: all
-    without: tuple[str, ...] = ()  # and of those left out
-    # Of a bag, after which the next begins [B]: what every file system takes, and a recovery reads in seconds.
+
+class Bounds(Table):
+    """Bounds of an instance's recordings: a month, some five hours of all topics, a tenth of the disk; None: none."""
+
+    age: Positive | None = 30 * DAY  # since the end of a piece [s]
+    size: Annotated[int, Meta(ge=8 * LEAST_PIECE, extra={"unit": "B"})] | None = 20_000_000_000  # total [B]
+    share: Annotated[float, Meta(gt=0, le=1)] | None = 0.1  # total, as a fraction of the disk
+
+    def limit(self, capacity: int) -> int | None:
+        """Maximum total on a disk of that capacity [B]; None: no limit."""
+        limits = [self.size, None if self.share is None else round(self.share * capacity)]
+        return min((each for each in limits if each is not None), default=None)
+
+    def piece(self, capacity: int) -> tuple[float, float]:
+        """Maximum size [B] and duration [s] of one piece."""
+        limit = self.limit(capacity)
+        return (
+            math.inf if limit is None else max(LEAST_PIECE, limit // PIECES),
+            math.inf if self.age is None else self.age / PIECES,
+        )
+
+
+UNBOUNDED = Bounds(age=None, size=None, share=None)
+
+
+class Recording(Table):
+    """Contents and pieces of recordings."""
+
+    only: tuple[str, ...] = ()  # shell patterns of the topics to record; empty: all
+    without: tuple[str, ...] = ()  # shell patterns of the topics to exclude
+    # Size after which the next bag starts [B]: all file systems allow it, and recovery reads it in seconds.
     split_bytes: Annotated[int, Meta(ge=1 << 20)] = 4_000_000_000
     split_seconds: Annotated[float, Meta(ge=1.0)] | None = None  # [s]
-    ring_seconds: Annotated[float, Meta(ge=1.0, le=600.0)] | None = None  # hold so much, and write it when asked [s]
-    bounds: Bounds = Bounds()  # of all recordings in the instance's folder
+    ring_seconds: Annotated[float, Meta(ge=1.0, le=600.0)] | None = None  # keep in memory, write on request [s]
+    bounds: Bounds = Bounds()  # of all recordings of the instance
 
 
-FOXGLOVE_PORT = 8765  # where its app looks by itself
+FOXGLOVE_PORT = 8765  # default of its app
 
 
 class Listening(Table):
-    """Where a process listens for others' programs."""
+    """Address that a process listens on for other programs."""
 
     host: str = "127.0.0.1"
-    port: Annotated[int, Meta(ge=0, le=65535)] = 0  # 0: any that is free
+    port: Annotated[int, Meta(ge=0, le=65535)] = 0  # 0: any free port
 
 
 class Host(Table, kw_only=True):
-    """A computer of an instance that runs on several."""
+    """A computer of an instance with several computers."""
 
     name: str
-    address: str  # that all of it listens on there
-    processes: tuple[str, ...] = ()  # that run there, besides bifrostd
-    operator: bool = False  # in the operator's network, which the link alone joins with the robot's
+    address: str  # that its processes listen on
+    processes: tuple[str, ...] = ()  # on it, in addition to bifrostd
+    operator: bool = False  # in the operator's network, connected with the robot's by the link only
+    ssh: str = ""  # destination as ssh accepts it; empty: the address
+    folder: str = ""  # of the instance on that computer; empty: not made yet
+
+
+class SshSettings(Table, kw_only=True):
+    """How ssh reaches the hosts."""
+
+    config: str = ""  # file, of hosts that have it; empty: the user's
+    valorctl: str = "valorctl"  # command for the shell there
 
 
 WhenLost = Literal["go_on", "stop"]
 
 
-class Link(Table):
-    """The operator's ROS network behind a link of its own (docs/link.md)."""
+LINK_RATE = 1200.0  # 9,600 bit/s [B/s]
+LEAST_LINK_RATE = 600.0  # below it, a goal of 250 bytes misses its deadline [B/s]
+LinkRate = Annotated[float, Meta(ge=LEAST_LINK_RATE)]
 
-    domain: Annotated[int, Meta(ge=0, le=232)] | None = None  # the operator's ROS domain; None: there is no link
-    when_lost: WhenLost = "go_on"  # what the robot does when the operator's end is not heard
+
+class Link(Table):
+    """The link between the robot's and the operator's ROS networks (docs/link.md)."""
+
+    domain: Annotated[int, Meta(ge=0, le=232)] | None = None  # the operator's ROS domain; None: no link
+    when_lost: WhenLost = "go_on"  # reaction of the robot to a timeout of the operator's end
     lost_after: Annotated[float, Meta(gt=0.0)] = 10.0  # [s]
-    listen: str = "127.0.0.1"  # where the robot's end listens
-    port: Annotated[int, Meta(ge=0, lt=65535)] = 0  # UDP, of its slow channel; 0: as the instance's block has it
-    robot: str = "127.0.0.1"  # by which address the operator's end reaches it
-    # UDP ports by which the operator's end reaches the robot's; 0: the robot end's own.
+    listen: str = "127.0.0.1"  # address that the robot's end listens on
+    port: Annotated[int, Meta(ge=0, lt=65535)] = 0  # UDP port of its slow channel; 0: from the instance's block
+    robot: str = "127.0.0.1"  # its address for the operator's end
+    # UDP ports of the robot's end as the operator's end sees them; 0: the ports that it listens on.
     slow: Annotated[int, Meta(ge=0, le=65535)] = 0
     fast: Annotated[int, Meta(ge=0, le=65535)] = 0
+    rate: LinkRate = LINK_RATE  # of the slow channel, in both directions together [B/s]
     picture: str = "camera/image_raw/compressed"  # sensor_msgs/CompressedImage of the robot's view
 
 
 class Settings(Table, kw_only=True):
-    """What ``valorctl up`` decided for an instance."""
+    """Settings of an instance, written by ``valorctl up``."""
 
     profile: str = "sim"
-    variant: Variant = "simulation"  # what the Comms Manager runs on
+    variant: Variant = "simulation"  # backend of the Comms Manager
     robot: Path  # the robot's folder
-    control_rate: float | None = None  # instead of robot.yaml's [Hz]
-    # Of devices: where they are plugged in; not named: the emulators' (devices/ports.py).
+    control_rate: float | None = None  # replaces robot.yaml's [Hz]
+    # Ports by device; default: the emulators' (devices/ports.py).
     ports: dict[str, str] = field(default_factory=dict)
     clock: ClockMode = "lockstep"
-    actuators: str = "hardware"  # a profile of robot.yaml: how far the plant is from the controller's model
+    actuators: str = "hardware"  # profile in robot.yaml of the plant's deviations from the controller's model
     seed: int = 0
     world: str = "flat"
-    real_time_factor: float = 1.0  # lockstep is paced to this; 0: as fast as it goes
-    wait_for_vrc: bool = True  # in lockstep robot time waits for the Valor ROS Controller's cycles, bounded
+    real_time_factor: float = 1.0  # of lockstep; 0: as fast as possible
+    wait_for_vrc: bool = True  # in lockstep robot time waits for the Valor ROS Controller's cycles, with a timeout
     ros_domain_id: int
-    port_block: int = 0  # a number in ROS domains' range, with it ports, that is this instance's alone; 0: the domain's
-    namespace: str = ""  # of all ROS nodes, and of the robot's frames; empty: none
-    peers: tuple[str, ...] = ()  # other computers that ROS 2 reaches; none: it stays on this one
-    deployment: str = ""  # whose hosts it runs on; empty: this computer alone
+    port_block: int = 0  # number of this instance's range of ports; 0: the ROS domain
+    namespace: str = ""  # of all ROS nodes and of the robot's frames; empty: none
+    peers: tuple[str, ...] = ()  # other computers for ROS 2; empty: this computer only
+    deployment: str = ""  # name of the deployment; empty: this computer only
     hosts: tuple[Host, ...] = ()  # of the deployment
-    here: str = ""  # which of them this is
-    ros_commands: RosCommands = "all"  # whose commands on ROS 2 are obeyed: there nobody proves who they are
-    epoch: int = 0  # when robot time is 0 on hardware, monotonic [ns]
-    bag: Path | None = None  # where the recorder writes; None: a new file in the instance's bags folder
+    here: str = ""  # name of this host
+    ssh: SshSettings = SshSettings()
+    run: str = ""  # identifies this run on all hosts; empty: this computer alone
+    ros_commands: RosCommands = "all"  # accepted commands on ROS 2, which does not authenticate senders
+    epoch: int = 0  # start of robot time on hardware, monotonic [ns]
+    bag: Path | None = None  # of the recorder; None: a new one in the instance's bags folder
     recording: Recording = Recording()
-    asked: tuple[str, ...] = ()  # processes that run because an option asks for them
+    asked: tuple[str, ...] = ()  # processes requested by options
     foxglove: Listening = Listening(port=FOXGLOVE_PORT)
     link: Link = Link()
 
@@ -140,53 +182,53 @@ class Settings(Table, kw_only=True):
 
     @property
     def block(self) -> int:
-        """The number of the ports that are this instance's alone."""
+        """Number of this instance's range of ports."""
         return self.port_block or self.ros_domain_id
 
     @property
     def near(self) -> tuple[str, ...]:
-        """Processes of the hosts that this computer's network has, besides bifrostd."""
+        """Processes in this computer's network, in addition to bifrostd."""
         return tuple(name for each in self.beside(self.here) for name in each.processes)
 
     def beside(self, host: str) -> tuple[Host, ...]:
-        """The hosts of a host's network, itself included: where there is a link, the robot's or the operator's."""
+        """All hosts in a host's network; with a link, the robot's or the operator's."""
         operator = any(each.operator for each in self.hosts if each.name == host)
         return tuple(each for each in self.hosts if each.operator == operator)
 
     def processes_here(self, processes: Sequence[str]) -> tuple[str, ...]:
-        """Of all processes of the instance, those that run on this computer."""
+        """The given processes that run on this computer."""
         own = next((host.processes for host in self.hosts if host.name == self.here), None)
         return tuple(name for name in processes if own is None or name in own)
 
     @property
     def frame_prefix(self) -> str:
-        """What the names of the robot's frames in tf begin with."""
+        """Prefix of the robot's frames in tf."""
         return frame_prefix(self.namespace)
 
     @property
     def ros_arguments(self) -> tuple[str, ...]:
-        """What puts a program's nodes into the namespace, where robot time is another than of other robots."""
+        """ROS arguments that put a program's nodes, and its clock, into the namespace."""
         if not self.namespace:
             return ()
         return ("--ros-args", "-r", f"__ns:=/{self.namespace}", "-r", f"/clock:=/{self.namespace}/clock", "--")
 
     @property
     def paced(self) -> bool:
-        """Whether robot time is kept to the wall's, in some proportion, and not simulated as fast as it goes."""
+        """True if robot time is proportional to wall time, rather than as fast as possible."""
         return self.variant == "hardware" or self.clock == "realtime" or self.real_time_factor > 0.0
 
     @property
     def ros_refusal(self) -> str:
-        """Why nobody who commands on ROS 2 is obeyed; empty: everybody is."""
-        return "commands on ROS 2 are not obeyed: up with --ros-commands none" if self.ros_commands == "none" else ""
+        """Reason for the rejection of all commands on ROS 2; empty: they are accepted."""
+        return "commands on ROS 2 are rejected: up with --ros-commands none" if self.ros_commands == "none" else ""
 
     def json(self) -> str:
-        """As ``instance.json`` holds them."""
+        """Content of ``instance.json``."""
         return msgspec.json.format(msgspec.json.encode(plain(self)).decode(), indent=2) + "\n"
 
 
 class Instance:
-    """Where an instance keeps its things."""
+    """Files and folders of an instance."""
 
     def __init__(self, name: str, home: Path) -> None:
         if not _NAME.fullmatch(name):
@@ -196,86 +238,27 @@ class Instance:
             )
         self.name = name
         self.folder = home / name
+        self.settings_file = self.folder / "instance.json"  # missing while the instance is down
+        self.network_file = self.folder / "network.json"  # computers and daemons of the Bifrost network
+        self.keys = self.folder / "keys"  # of Bifrost, shared by all members; mode 0700
+        self.link_key = self.keys / "link.key"  # of both ends of the link on several computers; mode 0600
+        self.owners = self.folder / "owners"  # one folder for each process with its own Bifrost key
+        self.logs = self.folder / "logs"  # one file for each service, kept after `valorctl down`
+        self.operator_token = self.folder / "operator.token"  # to operate the page; new at each `up`
+        self.ports = self.folder / "ports"  # serial ports of device emulators, one link for each device
+        self.middleware_file = self.folder / "fastdds.xml"  # configuration of an instance with peers
+        self.behavior_file = self.folder / "behavior.json"  # last behavior, written by the Comms Manager
+        self.bags = self.folder / "bags"  # default folder
 
     @classmethod
     def from_environment(cls, name: str | None = None) -> Instance:
-        """The instance named, else ``VALOR_INSTANCE``, else ``default``, under ``VALOR_HOME`` (``~/.valor``)."""
+        """The instance named, else ``VALOR_INSTANCE``, else ``default``, in ``VALOR_HOME`` (``~/.valor``)."""
         home = Path(os.environ.get("VALOR_HOME") or Path.home() / ".valor")
         return cls(name or os.environ.get("VALOR_INSTANCE") or DEFAULT_NAME, home)
 
     @property
-    def settings_file(self) -> Path:
-        """Written by ``valorctl up``; absent while the instance is down."""
-        return self.folder / "instance.json"
-
-    @property
-    def network_file(self) -> Path:
-        """The Bifrost network: computers and their daemons (``BIFROST_NETWORK``)."""
-        return self.folder / "network.json"
-
-    @property
-    def keys(self) -> Path:
-        """The folder of the Bifrost keys that all members share, mode 0700 (``BIFROST_KEYS``)."""
-        return self.folder / "keys"
-
-    @property
-    def link_key(self) -> Path:
-        """Where the ends of its link are on several computers: the secret that both have, mode 0600."""
-        return self.keys / "link.key"
-
-    @property
-    def owners(self) -> Path:
-        """Of each process the Bifrost key that is its own, in a folder of its own (``BIFROST_OWNERS``)."""
-        return self.folder / "owners"
-
-    @property
-    def logs(self) -> Path:
-        """One log file a service, kept after ``valorctl down``."""
-        return self.folder / "logs"
-
-    @property
-    def operator_token(self) -> Path:
-        """The file with the word by which a viewer of the page becomes its operator; another at each ``up``."""
-        return self.folder / "operator.token"
-
-    @property
-    def viewer_token(self) -> Path:
-        """The file with the word by which the page may be seen from another computer; another at each ``up``."""
-        return self.folder / "viewer.token"
-
-    @property
-    def viewing_file(self) -> Path:
-        """Where the page is served: written by whoever starts it."""
-        return self.folder / "viewing.json"
-
-    @property
-    def ports(self) -> Path:
-        """Where device emulators put their serial ports: one link a device."""
-        return self.folder / "ports"
-
-    @property
-    def middleware_file(self) -> Path:
-        """Fast DDS' configuration of an instance that has peers."""
-        return self.folder / "fastdds.xml"
-
-    @property
-    def behavior_file(self) -> Path:
-        """What the robot was last told to be in; the Comms Manager's."""
-        return self.folder / "behavior.json"
-
-    @property
-    def bags(self) -> Path:
-        """Where bags go unless told otherwise."""
-        return self.folder / "bags"
-
-    @property
-    def fetched(self) -> Path:
-        """Where the operator's end of the link puts the bags that it fetched from the robot."""
-        return self.folder / "fetched"
-
-    @property
     def not_up(self) -> str:
-        """What to say of it while it is down: how to get it up."""
+        """Message for the user while the instance is down."""
         return (
             f"instance {self.name!r} is not up (no {self.settings_file}); "
             f"`valorctl up{self.option(self.name)}` starts it"
@@ -283,15 +266,11 @@ class Instance:
 
     @staticmethod
     def option(name: str) -> str:
-        """What names an instance behind a verb: nothing, if it is the default one."""
+        """Option of a verb that selects an instance; empty for the default one."""
         return "" if name == DEFAULT_NAME else f" --instance {name}"
 
     def settings(self) -> Settings:
-        """The settings of the running instance.
-
-        Raises:
-            ConfigurationError: the instance is not up, or its file is not readable.
-        """
+        """The settings of the running instance. Raises ConfigurationError if it is not up, or its file not readable."""
         try:
             return checked(Settings, msgspec.json.decode(self.settings_file.read_text()))
         except FileNotFoundError:
@@ -300,7 +279,7 @@ class Instance:
             raise ConfigurationError(f"{self.settings_file}: {' '.join(str(error).split())}") from None
 
     def environment(self) -> dict[str, str]:
-        """The variables with which any process joins the instance."""
+        """Environment variables of the instance's processes."""
         settings = self.settings()
         return {
             "VALOR_HOME": str(self.folder.parent),
@@ -308,8 +287,8 @@ class Instance:
             "BIFROST_NETWORK": str(self.network_file),
             "BIFROST_KEYS": str(self.keys),
             "ROS_DOMAIN_ID": str(settings.ros_domain_id),
-            # The range LOCALHOST would bring shared memory back whatever the built-in transports are said to be, and
-            # with it 1.6 s until a topic is discovered, where loopback UDP alone takes milliseconds.
+            # LOCALHOST would enable shared memory despite the built-in transports below: discovery of a topic then
+            # takes 1.6 s, and milliseconds with loopback UDP only.
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
             "FASTRTPS_DEFAULT_PROFILES_FILE": str(self.middleware_file if settings.peers else middleware_profile()),
             "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",

@@ -1,4 +1,4 @@
-"""Names of the control modes, from the VRC's own table."""
+"""Control modes by name, from ``control_modes.yaml``; ConfigurationError if the file cannot be read."""
 
 from __future__ import annotations
 
@@ -10,65 +10,36 @@ from valor.common.behaviors import ControlMode
 from valor.common.errors import ConfigurationError, expected
 
 FILE = Path(valor.__file__).parent / "valor_ros_controller" / "control_modes.yaml"
-PREPARING = ControlMode.STAND_PREP  # the mode that the robot comes up in, until it is in its posture
-
-
-def names() -> list[str]:
-    """All.
-
-    Raises:
-        ConfigurationError: the table cannot be read.
-    """
-    return list(modes())
+PREPARING = ControlMode.STAND_PREP  # mode at startup, until the robot is in its posture
 
 
 def initial() -> list[str]:
-    """Those that the robot can be brought to when it has come up.
-
-    Raises:
-        ConfigurationError: the table cannot be read.
-    """
+    """Control modes that ``up`` can request after startup."""
     return [name for name in modes() if name == PREPARING or name in modes()[PREPARING]["to"]]
 
 
 def behaviors(mode: str) -> list[str]:
-    """What to ask the Motion Manager for, one after the other, for the VRC to follow into a mode.
-
-    Raises:
-        ConfigurationError: the table cannot be read, or nothing that the Motion Manager does leads to the mode.
-    """
-    led = {behavior for behavior, followed in reported().items() if followed == mode}
+    """Behaviors to request in order, so that the VRC enters a mode. Raises ConfigurationError if none leads to it."""
+    leading = {behavior for behavior, followed in reported().items() if followed == mode}
     motion: list[str] = modes().get(mode, {}).get("motion") or []
-    if not led.intersection(motion[-1:]):
-        followed = [each for each in names() if each in reported().values()]
+    if not leading.intersection(motion[-1:]):
+        followed = [each for each in modes() if each in reported().values()]
         raise ConfigurationError(f"control mode {expected(mode, followed)}")
     return list(dict.fromkeys(motion))
 
 
 def modes() -> dict[str, dict[str, Any]]:
-    """The table: by name, with the keys that its file explains.
-
-    Raises:
-        ConfigurationError: the table cannot be read.
-    """
+    """Rows of the file by name."""
     return _table("modes")
 
 
 def reported() -> dict[str, str]:
-    """Behavior → the mode that the VRC reports it as, where nobody asked for one.
-
-    Raises:
-        ConfigurationError: the table cannot be read.
-    """
+    """Behavior → mode that the VRC reports for it when no client requested a mode."""
     return _table("behaviors")
 
 
 def _table(key: str) -> dict[str, Any]:
     from valor.common.document import Document
 
-    document = Document.load(FILE)
-    try:
-        table: dict[str, Any] = document.content[key]  # type: ignore[index]
-    except (KeyError, TypeError):
-        raise document.error([key], "expected, but missing") from None
+    table: dict[str, Any] = Document.load(FILE).content[key]  # type: ignore[index]
     return table

@@ -1,7 +1,4 @@
-"""How robot time is kept beside the wall's.
-
-What is late is made up within bounds; beyond them the schedule moves, and the lost time is slip.
-"""
+"""Schedule of robot time on the wall clock: lateness within bounds is made up; beyond, it is slip."""
 
 from __future__ import annotations
 
@@ -9,18 +6,18 @@ import ctypes
 import math
 import time
 
-LATE = 0.002  # so far behind the schedule is made up at once [s]
+LATE = 0.002  # lateness that is made up at once [s]
 
 
-class Wall:
+class WallClock:
     """The wall clock."""
 
     def __init__(self) -> None:
-        # Linux wakes a sleeper up to 50 µs late to save energy, unless asked not to (PR_SET_TIMERSLACK).
+        # Linux wakes a sleeper up to 50 µs late to save energy, unless requested otherwise (PR_SET_TIMERSLACK).
         ctypes.CDLL(None).prctl(29, 1000, 0, 0, 0)
 
     def now(self) -> float:
-        """[s]."""
+        """Time [s]."""
         return time.perf_counter()
 
     def sleep(self, duration: float) -> None:
@@ -29,41 +26,34 @@ class Wall:
 
 
 class Pacer:
-    """Keeps robot time to a schedule on the wall.
+    """Keeps robot time to a schedule on the wall clock."""
 
-    Attributes:
-        slip: robot time lost: how much less has passed than the schedule first had it [s].
-        end: when the time that passes now is to have passed, on the wall [s].
-    """
-
-    def __init__(self, rate: float, wall: Wall, backlog: float = LATE, haste: float = math.inf) -> None:
-        """Begin with the first time that passes.
+    def __init__(self, rate: float, wall: WallClock, backlog: float = LATE, haste: float = math.inf) -> None:
+        """Create a schedule that starts with the first step.
 
         Args:
-            rate: robot time to wall time; 0: no schedule.
-            wall: the clock to keep to.
-            backlog: behind the schedule by more than this, the schedule moves [s of the wall].
-            haste: to make up what is late, robot time passes at most so much quicker than ``rate``.
+            rate: robot time per wall time; 0: no schedule.
+            wall: reference clock.
+            backlog: lateness beyond which the schedule moves, on the wall clock [s].
+            haste: maximum of the rate, as a multiple of ``rate``, while lateness is made up.
         """
         self._rate = rate
         self._wall = wall
         self._backlog = backlog
         self._haste = haste
         self._due: float | None = None
-        self._passed = -math.inf  # when the time that passed last had passed, on the wall [s]
-        self.end = 0.0
-        self.slip = 0.0
+        self._passed = -math.inf  # end of the last step, on the wall clock [s]
+        self.end = 0.0  # of the present step, as scheduled on the wall clock [s]
+        self.slip = 0.0  # robot time lost against the first schedule [s]
 
-    def begin_anew(self, rate: float) -> None:
-        """Keep another schedule from now on, robot time to wall time; what passed meanwhile is nowhere late."""
+    def restart(self, rate: float) -> None:
+        """Start another schedule, of robot time per wall time; the time until now is not late."""
         self._rate, self._due, self._passed = rate, None, -math.inf
 
     def pass_time(self, duration: float, at_least_real_time: bool = False) -> float:
-        """Let a duration of robot time pass: sleep until its end is due. Returns the time slept [s].
+        """Sleep until the end of a step of robot time [s]. Returns the time slept [s].
 
-        Args:
-            duration: [s].
-            at_least_real_time: keep to real time where there is no schedule.
+        ``at_least_real_time``: keep to real time where there is no schedule.
         """
         now = self._wall.now()
         remaining = self.next(duration, at_least_real_time)
@@ -73,7 +63,7 @@ class Pacer:
         return self._wall.now() - now
 
     def next(self, duration: float, at_least_real_time: bool = False) -> float:
-        """As ``pass_time``, without sleeping: returns how long the end is still away [s], negative if it has passed."""
+        """Time until the end of a step [s], negative if it has passed; as ``pass_time``, without sleeping."""
         rate = self._rate or (1.0 if at_least_real_time else 0.0)
         now = self._wall.now()
         if self._due is None or not rate:

@@ -1,4 +1,4 @@
-"""Poses of one frame in another, for a few at a time: Python floats, no NumPy."""
+"""Poses of one frame in another as Python floats, faster than NumPy for single poses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from valor.common.rotation import Quaternion, Vector, about_z, conjugate, headin
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a frame is in another; ``outer @ inner`` chains them."""
+    """Pose of a frame in another; ``outer @ inner`` chains poses."""
 
     position: Vector = (0.0, 0.0, 0.0)  # [m]
     orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)  # of norm 1
@@ -21,7 +21,7 @@ class Pose:
         return Pose((px + x, py + y, pz + z), unit(multiply(self.orientation, inner.orientation)))
 
     def inverse(self) -> Pose:
-        """The other frame in this one."""
+        """Pose of the other frame in this one."""
         back = conjugate(self.orientation)
         px, py, pz = self.position
         return Pose(rotate(back, (-px, -py, -pz)), back)
@@ -43,9 +43,9 @@ class Pose:
         return math.acos(max(-1.0, 1.0 - 2.0 * (x * x + y * y)))
 
     def plane_to(self, other: Pose) -> Pose:
-        """The displacement, with a turn about z alone, that brings this pose's place and heading to the other's.
+        """Displacement, with a rotation about z only, from this pose's position and heading to the other's.
 
-        Both poses are in one frame, in which the displacement is to be applied; a tilt is left as it is.
+        Both poses and the displacement are in one frame; the tilt does not change.
         """
         turn = about_z(other.yaw - self.yaw)
         x, y, z = rotate(turn, self.position)
@@ -66,7 +66,7 @@ def middle(left: Pose, right: Pose) -> Pose:
 
 
 def interpolate(first: Pose, second: Pose, share: float) -> Pose:
-    """Between two poses: straight in position, about one axis at an even rate in orientation (slerp)."""
+    """Pose between two poses: linear in position, slerp in orientation; ``share``: 0 first, 1 second."""
     a, b = first.orientation, second.orientation
     dot = sum(p * q for p, q in zip(a, b, strict=True))
     if dot < 0.0:

@@ -1,7 +1,6 @@
-"""How control goes before other work: by nice values on hardware, in real time where a loop must not wait, by cores,
-and by turns: short ones come sooner, long ones interrupt nobody. Turns need no privileges.
+"""Priority of control loops over other work: nice values on hardware, real time, cores, and time slices.
 
-In a simulation a control loop is quicker by a tenth where less of others' work comes and goes in its core's caches.
+Slices need no privileges: threads with short ones get the core sooner, threads with long ones interrupt no other.
 """
 
 from __future__ import annotations
@@ -18,35 +17,30 @@ from pathlib import Path
 from valor.common.processes import Cores, Turns
 
 _AUTOGROUP = Path("/proc/self/autogroup")
-SHORT_TURN = 0.0001  # [s]: the least that Linux grants
+SHORT_TURN = 0.0001  # [s]: the minimum that Linux grants
 BACKGROUND_NICENESS = 5
-# sched_setattr(2), which neither Python nor every C library has; linux/sched/types.h: struct sched_attr.
+# sched_setattr(2), which Python and some C libraries lack; linux/sched/types.h: struct sched_attr.
 _SET_ATTRIBUTES = {"x86_64": 314, "aarch64": 274, "armv7l": 380}
 _ATTRIBUTES = struct.Struct("=IIQiIQQQII")
 
 
 def take_priority(niceness: int) -> None:
-    """Go before other processes, where that is granted: a robot does not wait until somebody's compiler is done."""
+    """Set a negative nice value, if the system grants it."""
     if niceness >= 0:
         return
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
-    # Linux shares the processor among sessions first, and only within one by nice values (sched(7), autogroup).
+    # Linux divides the processor among sessions first, and only within a session by nice values (sched(7), autogroup).
     with contextlib.suppress(OSError, ValueError):
         if int(_AUTOGROUP.read_text().split()[-1]) > niceness:
             _AUTOGROUP.write_text(str(niceness))
 
 
 def take_turns(turns: Turns) -> None:
-    """Say how long the calling thread's turns on a core are to be, and those of all threads it starts from now on.
+    """Set the time slice of the calling thread and of all threads that it starts afterwards.
 
-    Linux (6.12 and later) gives a thread that wakes the core at once if its turns are the shorter ones; with turns as
-    long as everybody's it waits until whoever runs has had one, some milliseconds where the timer ticks rarely. Before,
-    asking changes nothing.
-
-    Args:
-        turns: ``short``; ``background``: takes no core away from others by waking, and a third of what they get where
-            all of them want more than there is; ``usual``.
+    Linux 6.12 and later gives the core at once to a waking thread with a shorter slice; earlier versions ignore it. A
+    ``background`` thread does not interrupt others when it wakes, and gets a third of their share under contention.
     """
     if turns == "background":
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
@@ -60,19 +54,15 @@ def take_turns(turns: Turns) -> None:
 
 
 def own_core() -> int | None:
-    """Of the cores that this process may use, the one that a control loop has to itself; None: there is one only."""
+    """The core reserved for a control loop, among those that this process may use; None: there is only one core."""
     cores = os.sched_getaffinity(0)
     return max(cores) if len(cores) > 1 else None
 
 
 def take_cores(cores: Cores) -> int | None:
-    """Stay on the core that a control loop has to itself, or off it, with all threads that are started from now on.
+    """Restrict the calling thread, and all that it starts, to the control loop's core or to the others.
 
-    Args:
-        cores: which of the two, or any.
-
-    Returns:
-        The loop's core; None: nobody has one, for there is one only or the system does not grant it.
+    Returns the control loop's core; None if there is only one core or the system does not grant it.
     """
     core = own_core()
     if core is None:
@@ -87,17 +77,10 @@ def take_cores(cores: Cores) -> int | None:
 
 
 def take_real_time(priority: int) -> bool:
-    """Let the loop of the calling thread wait for nothing but itself, where that is granted (SCHED_FIFO).
+    """Schedule the calling thread in real time (SCHED_FIFO, priority 2 to 99; 0: no change); whether that was granted.
 
-    The other threads of the process come one below: what the loop sends wakes the thread that encrypts it, which
-    otherwise takes the loop's own core away as often as not. A loop that never rests is kept from taking a core for
-    good by the kernel (sched_rt_runtime_us).
-
-    Args:
-        priority: of the calling thread, 2 to 99; 0: stay as it is.
-
-    Returns:
-        Whether it was granted: to root, and to users with a real-time limit (``ulimit -r``) of that priority.
+    The other threads of the process get one priority less: the loop's messages wake the encrypting thread, which would
+    otherwise often take its core. The kernel limits a loop that never rests (sched_rt_runtime_us).
     """
     if priority <= 0:
         return False
@@ -114,7 +97,7 @@ def take_real_time(priority: int) -> bool:
 
 
 def granted(real_time: int, niceness: int) -> tuple[bool, bool]:
-    """Whether a process of this user would get a real-time priority, and a nice value: tried in a thread that ends."""
+    """Return whether this user may set a real-time priority, and a nice value; tried in a temporary thread."""
     attempts: tuple[Callable[[], None], ...] = (
         lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(real_time)),
         lambda: os.setpriority(os.PRIO_PROCESS, 0, niceness),  # Linux: of the calling thread

@@ -1,7 +1,4 @@
-"""Where the things are that are not code: robots, profiles, examples.
-
-They lie at the root of a checkout, and under ``data`` beside this module once installed from a wheel.
-"""
+"""Files that are not code (robots, profiles, examples): at a checkout's root, or in a wheel's ``data``."""
 
 from __future__ import annotations
 
@@ -10,43 +7,40 @@ from pathlib import Path
 from valor.common.errors import ConfigurationError, expected
 
 _PACKAGE = Path(__file__).resolve().parent
-_INSTALLED = _PACKAGE / "data"
-IN_CHECKOUT = not _INSTALLED.is_dir()  # else installed from a wheel
-REPAIR = "run `make setup`" if IN_CHECKOUT else "`pip check` says what is missing"  # where a package is not there
-_ROOT = _PACKAGE.parents[1] if IN_CHECKOUT else _INSTALLED
+IN_CHECKOUT = not (_PACKAGE / "data").is_dir()  # else installed from a wheel
+REPAIR = "run `make setup`" if IN_CHECKOUT else "`pip check` lists what is missing"  # advice if a package is missing
+_ROOT = _PACKAGE.parents[1] if IN_CHECKOUT else _PACKAGE / "data"
+_FOLDERS = {"profile": "deploy", "deployment": "deploy/hosts", "plan": "examples/plans"}
 
 
 def robots() -> list[str]:
-    """Names of our robots."""
+    """Names of the robots."""
     return sorted(file.parent.name for file in (_ROOT / "robots").glob("*/robot.yaml"))
 
 
-def deployments() -> list[str]:
-    """Names of our deployments."""
-    return sorted(file.stem for file in (_ROOT / "deploy" / "hosts").glob("*.yaml"))
+def names(kind: str) -> list[str]:
+    """Names of all files of a kind: ``profile``, ``deployment`` or footstep ``plan``."""
+    return sorted(file.stem for file in (_ROOT / _FOLDERS[kind]).glob("*.yaml"))
 
 
-def deployment_file(name: str) -> Path:
-    """The file of one of our deployments, by its name."""
-    return _ROOT / "deploy" / "hosts" / f"{name}.yaml"
+def file_of(kind: str, name: str) -> Path:
+    """A profile, deployment or footstep plan by name, or by the path of a ``.yaml`` file. Raises ConfigurationError."""
+    known = names(kind)
+    if name in known:
+        return _ROOT / _FOLDERS[kind] / f"{name}.yaml"
+    file = Path(name).expanduser()
+    if file.is_file() and file.suffix == ".yaml":
+        return file.resolve()
+    raise ConfigurationError(f"{kind} {expected(name, known, 'a .yaml file, or ')}")
 
 
-def profiles() -> list[str]:
-    """Names of our profiles."""
-    return sorted(file.stem for file in (_ROOT / "deploy").glob("*.yaml"))
-
-
-def plans() -> list[str]:
-    """Names of our footstep plans."""
-    return sorted(file.stem for file in (_ROOT / "examples" / "plans").glob("*.yaml"))
+def middleware_profile() -> Path:
+    """Fast DDS' configuration of an instance on one computer."""
+    return _ROOT / "deploy" / "fastdds.xml"
 
 
 def robot_folder(robot: str) -> Path:
-    """The folder of a robot: one of ours by name, or any folder with a ``robot.yaml``.
-
-    Raises:
-        ConfigurationError: no such robot; lists those known.
-    """
+    """The folder of a robot, by name or by the path of a folder with a ``robot.yaml``. Raises ConfigurationError."""
     known = robots()
     if robot in known:
         return _ROOT / "robots" / robot
@@ -58,48 +52,9 @@ def robot_folder(robot: str) -> Path:
     raise ConfigurationError(f"robot {expected(robot, known, 'a folder with robot.yaml, or ')}")
 
 
-def profile_file(profile: str) -> Path:
-    """The file of a profile: one of ours by name, or any ``.yaml`` file by its path.
-
-    Raises:
-        ConfigurationError: no such profile; lists those known.
-    """
-    known = profiles()
-    if profile in known:
-        return _ROOT / "deploy" / f"{profile}.yaml"
-    file = Path(profile).expanduser()
-    if file.suffix == ".yaml" and file.is_file():
-        return file.resolve()
-    raise ConfigurationError(f"profile {expected(profile, known, 'a .yaml file, or ')}")
-
-
-def middleware_profile() -> Path:
-    """Fast DDS' configuration for an instance that lives on one computer."""
-    return _ROOT / "deploy" / "fastdds.xml"
-
-
 def example_file(name: str) -> Path:
-    """A file of ``examples``.
-
-    Raises:
-        ConfigurationError: no such file here.
-    """
+    """A file of ``examples``. Raises ConfigurationError if it is missing."""
     file = _ROOT / "examples" / name
     if not file.is_file():
         raise ConfigurationError(f"{file}: not found; the installation is incomplete")
     return file
-
-
-def plan_file(plan: str) -> Path:
-    """The file of a footstep plan: one of ``examples/plans`` by name, or any other by its path.
-
-    Raises:
-        ConfigurationError: no such plan; lists those known.
-    """
-    known = plans()
-    if plan in known:
-        return _ROOT / "examples" / "plans" / f"{plan}.yaml"
-    file = Path(plan).expanduser()
-    if file.is_file():
-        return file
-    raise ConfigurationError(f"plan {expected(plan, known, 'a file, or ')}")

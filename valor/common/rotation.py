@@ -1,7 +1,6 @@
-"""Rotations, one at a time: quaternions (w, x, y, z) as tuples of floats, and (3, 3) matrices.
+"""Single rotations: quaternions (w, x, y, z) as tuples of floats, and (3, 3) matrices.
 
-Python floats, for a NumPy call on four numbers costs more than the arithmetic. What multiplies and turns quaternions,
-and ``error``, do it to expressions of ``kernel``, too.
+Functions on quaternions, and ``error``, also accept expressions of ``kernel``.
 """
 
 from __future__ import annotations
@@ -17,15 +16,11 @@ Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
-NORM = 1e-2  # most that the norm of a goal's quaternion may be off
+NORM = 1e-2  # tolerance of the norm of a goal's quaternion
 
 
 def quaternion(values: Iterable[float]) -> Quaternion:
-    """Four numbers as a unit quaternion.
-
-    Raises:
-        ValueError: they have no direction (all zero, or not finite).
-    """
+    """Four numbers as a unit quaternion. Raises ValueError if they are all zero, or not finite."""
     w, x, y, z = map(float, values)
     norm = sqrt(w * w + x * x + y * y + z * z)
     if not 1e-6 < norm < 1e6:
@@ -34,7 +29,7 @@ def quaternion(values: Iterable[float]) -> Quaternion:
 
 
 def unit(a: Quaternion) -> Quaternion:
-    """A quaternion that is nearly one already, made it."""
+    """Normalise a quaternion of nearly unit norm."""
     w, x, y, z = a
     norm = (w * w + x * x + y * y + z * z) ** 0.5
     return w / norm, x / norm, y / norm, z / norm
@@ -58,13 +53,13 @@ def conjugate(a: Quaternion) -> Quaternion:
 
 
 def rotate(a: Quaternion, v: Vector) -> Vector:
-    """A vector turned by a unit quaternion."""
+    """A vector rotated by a unit quaternion."""
     _, x, y, z = multiply(multiply(a, (0.0, *v)), conjugate(a))
     return x, y, z
 
 
 def vertical(a: Quaternion) -> Vector:
-    """Where the world's z axis points in what ``a`` is the attitude of."""
+    """The world's z axis in the frame with the attitude ``a``."""
     return rotate(conjugate(a), (0.0, 0.0, 1.0))
 
 
@@ -81,13 +76,13 @@ def about_z(angle: float) -> Quaternion:
 
 
 def heading(a: Sequence[float]) -> float:
-    """Of the x axis that a unit quaternion turns [rad]."""
+    """Heading of the x axis rotated by a unit quaternion [rad]."""
     w, x, y, z = a
     return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def roll_pitch_yaw(a: Sequence[float]) -> tuple[float, float, float]:
-    """Turns about the fixed axes x, y, z, in order, of a unit quaternion [rad]."""
+    """Rotations of a unit quaternion about the fixed axes x, y, z, in order [rad]."""
     w, x, y, z = a
     sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
     return atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)), asin(sine), heading(a)
@@ -144,13 +139,13 @@ def error(desired: FloatArray, actual: FloatArray) -> Vector:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(3,) a × b; NumPy's own is for arrays of them, and costs twenty times as much on one."""
+    """(3,) a × b, twenty times as fast as NumPy's for single vectors."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
-    """(3,) axis·θ [rad] of a (3, 3) rotation below π (for set-up, not for the loop)."""
+    """(3,) axis·θ [rad] of a (3, 3) rotation below π (for setup, not for the loop)."""
     sine = np.array(error(rotation, np.eye(3)))
     norm = float(np.linalg.norm(sine))
     angle = atan2(norm, 0.5 * (float(np.trace(rotation)) - 1.0))

@@ -1,7 +1,6 @@
-"""Which frame is where, and was a little while ago: what tf2's buffer is to ROS, without ROS.
+"""Buffer of transforms between frames over time, like tf2's, without ROS.
 
-The transforms make a tree: each frame has one parent. Where two frames are relative to one another is asked at a time
-within what has been heard, or at the newest time at which the whole way between them is known.
+Each frame has one parent. Lookups are within the stored history, or at the latest time common to all transforms needed.
 """
 
 from __future__ import annotations
@@ -13,20 +12,18 @@ from collections.abc import Iterable
 from valor.common.errors import ValorError
 from valor.common.poses import Pose, interpolate
 
-LONGEST_WAY = 200  # frames from one to the root; longer: they go in a circle
+LONGEST_WAY = 200  # frames from one to the root; a longer chain is taken for a loop
 
 
 class TransformError(ValorError):
-    """Where a frame is cannot be said."""
+    """The pose of a frame cannot be determined."""
 
 
 class TooNewError(TransformError):
-    """Not yet: no transform that new has been heard."""
+    """No transform of that time has arrived yet."""
 
 
 class _Edge:
-    """A frame in its parent, over time."""
-
     def __init__(self, parent: str, static: bool) -> None:
         self.parent = parent
         self.static = static
@@ -38,47 +35,40 @@ class _Edge:
             self.times, self.poses = [time], [pose]
             return
         if self.times and time < self.times[-1] - history:
-            self.times, self.poses = [], []  # the clock has begun anew
-        place = bisect_left(self.times, time)
-        if place < len(self.times) and self.times[place] == time:
-            self.poses[place] = pose
+            self.times, self.poses = [], []  # the clock has restarted
+        index = bisect_left(self.times, time)
+        if index < len(self.times) and self.times[index] == time:
+            self.poses[index] = pose
         else:
-            self.times.insert(place, time)
-            self.poses.insert(place, pose)
+            self.times.insert(index, time)
+            self.poses.insert(index, pose)
         oldest = bisect_left(self.times, self.times[-1] - history)
         del self.times[:oldest], self.poses[:oldest]
 
     def at(self, time: int) -> Pose:
-        """The pose at a time within what is known."""
+        """The pose at a time within the stored history."""
         if self.static:
             return self.poses[0]
-        place = bisect_left(self.times, time)
-        if self.times[place] == time:
-            return self.poses[place]
-        before, after = self.times[place - 1], self.times[place]
-        return interpolate(self.poses[place - 1], self.poses[place], (time - before) / (after - before))
+        index = bisect_left(self.times, time)
+        if self.times[index] == time:
+            return self.poses[index]
+        before, after = self.times[index - 1], self.times[index]
+        return interpolate(self.poses[index - 1], self.poses[index], (time - before) / (after - before))
 
 
 class TransformBuffer:
-    """Transforms as they are heard, for a while."""
+    """Received transforms of the last seconds."""
 
     def __init__(self, history: float = 10.0) -> None:
-        """Args: history: for how long transforms are kept [s]."""
+        """Start empty; ``history``: time that transforms are stored [s]."""
         self._history = round(history * 1e9)
         self._edges: dict[str, _Edge] = {}
 
     def add(self, parent: str, child: str, time: int, pose: Pose, *, static: bool = False) -> None:
-        """Take a transform.
+        """Store the pose of the frame ``child`` in ``parent`` at a time [ns], or, if static, for all times.
 
-        Args:
-            parent: the frame that the pose is in.
-            child: the frame whose pose it is.
-            time: of it [ns].
-            pose: of norm 1 within 1 %, then normalised.
-            static: for all times.
-
-        Raises:
-            ValueError: not finite, no orientation, or a frame without name or in itself; nothing has changed.
+        The orientation's norm must be 1 within 1 %; it is normalised. Raises ValueError, and stores nothing: not
+        finite, no orientation, or not two named frames.
         """
         parent, child = parent.lstrip("/"), child.lstrip("/")
         norm = math.hypot(*pose.orientation)
@@ -95,20 +85,17 @@ class TransformBuffer:
     def lookup(self, target: str, source: str, time: int = 0) -> Pose:
         """The pose of the frame ``source`` in the frame ``target``.
 
-        Args:
-            target: as what the pose is in.
-            source: whose it is.
-            time: [ns]; 0: the newest at which all of it is known.
+        ``time``: [ns]; 0: the latest that all transforms between the frames have.
 
         Raises:
-            TooNewError: nothing so new has been heard yet.
-            TransformError: unknown or unconnected frames, or a time that is forgotten.
+            TooNewError: no transform of that time has arrived yet.
+            TransformError: unknown or unconnected frames, or a time before the stored history.
         """
         target, source = target.lstrip("/"), source.lstrip("/")
         known = {edge.parent for edge in self._edges.values()} | self._edges.keys()
         for frame in (source, target):
             if frame not in known:
-                raise TransformError(f"frame {frame!r} is not known to tf")
+                raise TransformError(f"frame {frame!r} is unknown to tf")
         up, down = self._way(source), self._way(target)
         if up[-1] != down[-1]:
             raise TransformError(f"frames {source!r} and {target!r} are not connected in tf")
@@ -119,7 +106,6 @@ class TransformBuffer:
         return self._chain(down, time).inverse() @ self._chain(up, time)
 
     def _way(self, frame: str) -> list[str]:
-        """A frame, its parent, and so on to the root."""
         way = [frame]
         while (edge := self._edges.get(way[-1])) is not None:
             way.append(edge.parent)
@@ -128,22 +114,20 @@ class TransformBuffer:
         return way
 
     def _time(self, frames: Iterable[str], time: int, source: str, target: str) -> int:
-        """The time to ask at, which every transform on the way knows."""
         moving = [edge for frame in frames if not (edge := self._edges[frame]).static]
         if not moving:
             return time
-        newest, oldest = min(edge.times[-1] for edge in moving), max(edge.times[0] for edge in moving)
+        latest, oldest = min(edge.times[-1] for edge in moving), max(edge.times[0] for edge in moving)
         if time == 0:
-            time = newest
+            time = latest
         way = f"from {source!r} to {target!r}"
-        if time > newest:
-            raise TooNewError(f"{way}: {_s(time)} is {_s(time - newest)} ahead of the newest transform")
+        if time > latest:
+            raise TooNewError(f"{way}: {_s(time)} is {_s(time - latest)} ahead of the latest transform")
         if time < oldest:
-            raise TransformError(f"{way}: {_s(time)} is {_s(oldest - time)} before the oldest transform that is kept")
+            raise TransformError(f"{way}: {_s(time)} is {_s(oldest - time)} before the oldest stored transform")
         return time
 
     def _chain(self, way: list[str], time: int) -> Pose:
-        """The first frame of a way in the last one's parent."""
         pose = Pose()
         for frame in way:
             pose = self._edges[frame].at(time) @ pose

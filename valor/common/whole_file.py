@@ -1,4 +1,4 @@
-"""Files that are there as a whole: who reads one, or finds it after a crash, sees the old or the new, never half."""
+"""Atomic replacement of files: a reader, also after a crash, finds the old or the new content, never a part."""
 
 from __future__ import annotations
 
@@ -9,11 +9,7 @@ from pathlib import Path
 
 
 def write(file: Path, content: str | bytes) -> None:
-    """Put a file in the place of what stood there, if anything did.
-
-    Raises:
-        OSError: it cannot be written; names ``file``, which is as it was, and leaves nothing beside it.
-    """
+    """Create or replace a file. Raises OSError with its name; it is then unchanged, and no temporary file remains."""
     try:
         with replacing(file) as beside:
             beside.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -23,7 +19,7 @@ def write(file: Path, content: str | bytes) -> None:
 
 @contextlib.contextmanager
 def replacing(file: Path) -> Iterator[Path]:
-    """Where to write what takes the place of ``file`` when the block ends; nothing is left there if it fails."""
+    """Temporary path that replaces ``file`` at the end of the block; removed if the block fails."""
     beside = file.with_name(f".{file.name}.{os.getpid()}")
     try:
         yield beside

@@ -1,10 +1,8 @@
-"""Frames on the CAN buses of the motor controllers and of the force/torque sensors.
+"""Frames on the CAN buses of the motor controllers and of the force/torque sensors; no maker publishes them: assumed.
 
-Once a control period the master broadcasts SYNC with a counter; every unit samples at that instant and answers with
-one STATE that carries the counter. Motor controllers then get one COMMAND each. Who a unit is, and switching motors,
-goes by REQUEST and REPLY. Numbers are little-endian; every frame ends with the checksum of ``end_to_end``.
-
-::
+Once a control period the master broadcasts SYNC; every unit samples then and answers with one STATE, which carries the
+counter. Each motor controller then receives one COMMAND. REQUEST and REPLY serve identity and motor power. Numbers are
+little-endian; every frame ends with the checksum over identifier and content; COMMAND and STATE are padded to 48 B::
 
     SYNC      0x080        counter u8, –                                                                     4 B
     COMMAND   0x100 + id   sequence u16, modes u8 × 2, axes × (position, velocity, effort, stiffness,
@@ -16,21 +14,18 @@ goes by REQUEST and REPLY. Numbers are little-endian; every frame ends with the 
                            torque f32 × 3                                                                   32 B
     REQUEST   0x200 + id   code u8, –                                                                        4 B
     REPLY     0x280 + id   code u8, result u8, serial 16 characters, firmware 8 characters                  32 B
-
-CAN FD knows no lengths between 32 and 48 bytes but those two: frames are filled up with zeros before the checksum.
 """
 
 from __future__ import annotations
 
 import struct
+from binascii import crc_hqx
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 import can
 import numpy as np
-
-from valor.devices.end_to_end import SIZE, is_sound, protect
 
 SYNC = 0x080
 COMMAND = 0x100
@@ -56,7 +51,7 @@ COMMAND_TYPE = np.dtype(
         ("filling", "u1", 2),
     ]
 )
-"""A command's content, for whole vectors of them."""
+"""Content of a command, for vectors of commands."""
 
 CONTROLLER_STATE = struct.Struct("<BBH8fhhHI")
 SENSOR_STATE = struct.Struct("<BBh6f2x")
@@ -65,12 +60,25 @@ _REQUEST = struct.Struct("<Bx")
 _REPLY = struct.Struct("<BB16s8s4x")
 
 
+CHECKSUM_SIZE = 2  # of the checksum [B]
+
+
+def protect(identifier: int, content: bytes) -> bytes:
+    """Data of a frame: its content, followed by the checksum."""
+    return content + crc_hqx(content, identifier).to_bytes(CHECKSUM_SIZE, "little")
+
+
+def is_valid(identifier: int, data: bytes | bytearray) -> bool:
+    """Return whether the checksum of a frame is valid."""
+    return crc_hqx(data[:-CHECKSUM_SIZE], identifier) == data[-2] | data[-1] << 8
+
+
 class Status(IntFlag):
-    """What a unit says of itself in every STATE."""
+    """Status bits of every STATE."""
 
     ENABLED = 1  # motors are on
-    CALIBRATED = 2  # since it got power, its joints' places have been checked
-    WATCHDOG = 4  # no command has come for too long: it holds its joints
+    CALIBRATED = 2  # joint positions checked since power-on
+    WATCHDOG = 4  # command timeout: the unit holds its joints
     ENCODER_FAULT = 8
     OVER_TEMPERATURE = 16
     UNDER_VOLTAGE = 32
@@ -78,17 +86,17 @@ class Status(IntFlag):
 
 
 class Code(IntEnum):
-    """What a REQUEST asks for."""
+    """Code of a REQUEST."""
 
     IDENTIFY = 1
     ENABLE = 2
     DISABLE = 3
-    CALIBRATED = 4  # take note that the joints' places have been checked
+    CALIBRATED = 4  # confirms that the joint positions have been checked
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Who a unit says it is."""
+    """Identity reported by a unit."""
 
     serial: str
     firmware: str
@@ -96,7 +104,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class Reply:
-    """Answer to a request."""
+    """Response to a request."""
 
     code: int
     done: bool
@@ -111,38 +119,38 @@ def frame(identifier: int, data: bytes) -> can.Message:
 
 
 def sync(counter: int) -> can.Message:
-    """Everybody sample now."""
+    """SYNC frame: all units sample."""
     return frame(SYNC, protect(SYNC, _SYNC.pack(counter)))
 
 
 def request(unit: int, code: Code) -> can.Message:
-    """Ask one unit for something."""
+    """REQUEST frame to one unit."""
     return frame(REQUEST + unit, protect(REQUEST + unit, _REQUEST.pack(code)))
 
 
 def reply(unit: int, code: int, done: bool, identity: Identity) -> can.Message:
-    """A unit's answer."""
+    """REPLY frame of a unit."""
     content = _REPLY.pack(code, not done, identity.serial.encode()[:16], identity.firmware.encode()[:8])
     return frame(REPLY + unit, protect(REPLY + unit, content))
 
 
 def read_reply(message: can.Message) -> Reply | None:
-    """The answer that a frame is; None: it is none that can be believed."""
-    if len(message.data) != REPLY_LENGTH or not is_sound(message.arbitration_id, message.data):
+    """Parse a REPLY; None if it is invalid."""
+    if len(message.data) != REPLY_LENGTH or not is_valid(message.arbitration_id, message.data):
         return None
     code, result, serial, firmware = _REPLY.unpack_from(message.data)
     return Reply(code, result == 0, Identity(_text(serial), _text(firmware)))
 
 
 def read_small(message: can.Message) -> int | None:
-    """A SYNC's counter or a REQUEST's code; None: it cannot be believed."""
-    if len(message.data) != _SYNC.size + SIZE or not is_sound(message.arbitration_id, message.data):
+    """Counter of a SYNC or code of a REQUEST; None if it is invalid."""
+    if len(message.data) != _SYNC.size + CHECKSUM_SIZE or not is_valid(message.arbitration_id, message.data):
         return None
     return int(message.data[0])
 
 
 def command_frames(units: Sequence[int], commands: np.ndarray[tuple[int], np.dtype[np.void]]) -> list[can.Message]:
-    """A vector of ``COMMAND_TYPE`` as frames, one a unit."""
+    """Encode a vector of ``COMMAND_TYPE``, one frame per unit."""
     raw, size = commands.tobytes(), COMMAND_TYPE.itemsize
     return [
         frame(COMMAND + unit, protect(COMMAND + unit, raw[k * size : (k + 1) * size])) for k, unit in enumerate(units)
@@ -150,8 +158,8 @@ def command_frames(units: Sequence[int], commands: np.ndarray[tuple[int], np.dty
 
 
 def read_command(message: can.Message) -> np.void | None:
-    """The ``COMMAND_TYPE`` in a frame; None: it cannot be believed."""
-    if len(message.data) != COMMAND_LENGTH or not is_sound(message.arbitration_id, message.data):
+    """Parse a COMMAND; None if it is invalid."""
+    if len(message.data) != COMMAND_LENGTH or not is_valid(message.arbitration_id, message.data):
         return None
     command: np.void = np.frombuffer(message.data, dtype=COMMAND_TYPE, count=1)[0]
     return command

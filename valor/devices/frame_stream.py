@@ -1,4 +1,4 @@
-"""Frames in a stream of bytes, as serial lines bring them: found wherever they begin, and found again after garbage."""
+"""Extracts frames from a stream of bytes of a serial line, also after invalid bytes."""
 
 from __future__ import annotations
 
@@ -6,33 +6,24 @@ from collections.abc import Callable, Iterator
 
 
 class FrameStream:
-    """Cuts the frames of one protocol out of a stream.
-
-    A candidate that is not sound costs its first byte alone: a sound frame may have begun inside it.
+    """Extracts the frames of one protocol from a stream; a valid frame may start inside an invalid candidate.
 
     Attributes:
         skipped: bytes that were part of no frame.
-        unsound: candidates with the header of one of which nothing else can be said.
+        invalid: number of invalid candidates with a valid header.
     """
 
     def __init__(
-        self, header: bytes, prefix: int, size: Callable[[bytearray], int], is_sound: Callable[[bytes], bool]
+        self, header: bytes, prefix: int, size: Callable[[bytearray], int], is_valid: Callable[[bytes], bool]
     ) -> None:
-        """What the protocol's frames look like.
-
-        Args:
-            header: with which each begins.
-            prefix: how many bytes ``size`` needs [B].
-            size: of the frame that begins so, with header and checksum [B]; 0: none begins so.
-            is_sound: whether a whole frame has the checksum that belongs to it.
-        """
-        self._header, self._prefix, self._size, self._is_sound = header, prefix, size, is_sound
+        """``size`` of a frame follows from its first ``prefix`` bytes, with header and checksum [B]; 0 if invalid."""
+        self._header, self._prefix, self._size, self._is_valid = header, prefix, size, is_valid
         self._buffer = bytearray()
         self.skipped = 0
-        self.unsound = 0
+        self.invalid = 0
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Take bytes in; yields the frames that they complete, in order."""
+        """Add bytes; yields the completed frames, in order."""
         buffer = self._buffer
         buffer += data
         while True:
@@ -43,19 +34,19 @@ class FrameStream:
             if size and len(buffer) < size:
                 return
             frame = bytes(buffer[:size])
-            if not size or not self._is_sound(frame):
-                self.unsound += 1
+            if not size or not self._is_valid(frame):
+                self.invalid += 1
                 self._skip(1)
                 continue
             del buffer[:size]
             yield frame
 
     def clear(self) -> None:
-        """Forget what is half received."""
+        """Discard partial frames."""
         self._buffer.clear()
 
     def _start(self) -> int:
-        """Where the next frame may begin; what is left at the end may be the beginning of a header."""
+        """Position where the next frame may start; the end of the buffer may hold a partial header."""
         buffer, header = self._buffer, self._header
         if (start := buffer.find(header)) >= 0:
             return start

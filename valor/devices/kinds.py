@@ -1,8 +1,4 @@
-"""Every kind of device: its table in robot.yaml, what it provides, its driver and its emulator.
-
-A kind is a row of ``KINDS``. Driver and emulator are named, not imported: who reads robot.yaml loads neither, and who
-drives devices nothing of the simulated robot.
-"""
+"""Every kind of device, a row of ``KINDS``: its table in robot.yaml, what it provides, its driver and its emulator."""
 
 from __future__ import annotations
 
@@ -19,9 +15,9 @@ from valor.devices.table import Device, FtCan, HdtBifrost, SeaCanFd
 
 
 class Quantity(Flag):
-    """What a device provides, whatever its class."""
+    """Quantities that a device provides."""
 
-    JOINT_STATE = auto()  # of the joints that it moves: it takes their commands
+    JOINT_STATE = auto()  # of joints that it moves by commands
     ATTITUDE = auto()  # with angular velocity and specific force, in the robot's frame of the IMU
     WRENCH = auto()  # at feet and hands
     TIME = auto()  # a clock that can be the robot's
@@ -32,11 +28,10 @@ JOINT_STATE, ATTITUDE, WRENCH, TIME = Quantity.JOINT_STATE, Quantity.ATTITUDE, Q
 
 @dataclass(frozen=True)
 class Kind:
-    """A row.
+    """A kind of device; driver and emulator are names, so that reading robot.yaml imports neither.
 
     Attributes:
-        table: of its devices in robot.yaml; the table's tag is the kind's name there.
-        provides: its devices.
+        table: in robot.yaml; the table's tag is the kind's name there.
         driver: in ``valor.comms_manager.hardware``: module and class, a ``Device``.
         emulator: in ``valor.device_emulators``: module and class, an ``Emulator``.
     """
@@ -48,22 +43,22 @@ class Kind:
 
     @property
     def name(self) -> str:
-        """As in robot.yaml."""
+        """Name in robot.yaml."""
         return str(self.table.__struct_config__.tag)
 
     def load_driver(self) -> Any:
-        """The driver's class."""
+        """Class of the driver."""
         return resolve_name(f"valor.comms_manager.hardware.{self.driver}")
 
     def load_emulator(self) -> Any:
-        """The emulator's class."""
+        """Class of the emulator."""
         return resolve_name(f"valor.device_emulators.{self.emulator}")
 
 
 # fmt: off
 _ROWS = (
-    Kind(SeaCanFd,       JOINT_STATE | TIME, "series_elastic:SeriesElastic", "series_elastic:SeriesElasticEmulator"),
-    Kind(FtCan,          WRENCH,             "force_torque:ForceTorque",     "force_torque:ForceTorqueEmulator"),
+    Kind(SeaCanFd,       JOINT_STATE | TIME, "series_elastic:SeriesElastic", "can_devices:SeriesElasticEmulator"),
+    Kind(FtCan,          WRENCH,             "can_device:ForceTorque",       "can_devices:ForceTorqueEmulator"),
     Kind(MicroStrainMip, ATTITUDE,           "microstrain:MicroStrain",      "microstrain:MicroStrainEmulator"),
     Kind(Kvh1750,        ATTITUDE,           "kvh:Kvh",                      "kvh:KvhEmulator"),
     Kind(Dynamixel,      JOINT_STATE,        "dynamixel:DynamixelServos",    "dynamixel:DynamixelEmulator"),
@@ -77,4 +72,4 @@ if TYPE_CHECKING:
     DeviceTable = Device
 else:
     DeviceTable = Union[tuple(kind.table for kind in _ROWS)]  # noqa: UP007 (made of the rows)
-"""What may stand in robot.yaml under a device's name: one of the tables, by its kind."""
+"""Table of a device in robot.yaml, selected by its kind."""

@@ -1,9 +1,7 @@
-"""The table ``devices`` of robot.yaml: which devices the robot has, which units each has, and who they must be.
+"""The table ``devices`` of robot.yaml: devices of the robot, and their units with expected identities.
 
-Where their ports are is the instance's business (``ports.py``). A unit is what can be found, be asked who it is, and
-fail by itself: a motor controller, a servo, a sensor, a limb. Tables of kinds on CAN stand here, as everybody who reads
-robot.yaml would have to load ``python-can`` with their frames; the others beside the numbers of their protocols.
-``kinds.py`` has them all.
+A unit fails separately: a motor controller, a servo, a sensor, a limb. Tables of devices on CAN are here, so that
+reading robot.yaml does not load ``python-can``; the others are with their protocols, and all in ``kinds.py``.
 """
 
 from __future__ import annotations
@@ -20,31 +18,31 @@ WrenchPlace = Literal["left_foot", "right_foot", "left_hand", "right_hand"]
 
 
 class Device(Table, tag_field="kind"):
-    """A device; its ``kind`` says which table it has, with what it has to say of joints, wrenches and units."""
+    """A device; its ``kind`` selects the table."""
 
     @property
     def kind(self) -> str:
-        """As in the file."""
+        """Kind in the file."""
         return str(self.__struct_config__.tag)
 
     @property
     def units(self) -> list[str]:
-        """What its units are called; none: it is one itself."""
+        """Names of its units; empty if it is a single unit."""
         return []
 
     @property
     def groups(self) -> list[str]:
-        """Of robot.yaml, whose joints it moves."""
+        """Groups of robot.yaml whose joints it moves."""
         return []
 
     @property
     def joints(self) -> list[str]:
-        """That it moves besides, in its units' order."""
+        """Further joints that it moves, in its units' order."""
         return []
 
     @property
     def places(self) -> list[WrenchPlace]:
-        """Of Proprioceptor's wrenches, those that it gives, in its units' order."""
+        """Proprioceptor's wrenches that it measures, in its units' order."""
         return []
 
 
@@ -68,17 +66,17 @@ class SeaCanFd(Device, tag="sea_can_fd"):
 
     @property
     def joints(self) -> list[str]:
-        """All axes' joints, controller after controller."""
+        """Joints of all axes, controller after controller."""
         return [joint for controller in self.controllers for joint in controller.axes]
 
     @property
     def units(self) -> list[str]:
-        """The controllers' numbers."""
+        """Numbers of the controllers."""
         return [str(controller.id) for controller in self.controllers]
 
 
 class WrenchSensor(Table):
-    """A force/torque sensor, and which of Proprioceptor's wrenches it gives."""
+    """A force/torque sensor, and Proprioceptor's wrench that it measures."""
 
     id: CanId
     at: WrenchPlace
@@ -98,56 +96,56 @@ class FtCan(Device, tag="ft_can"):
 
     @property
     def places(self) -> list[WrenchPlace]:
-        """The sensors', in order."""
+        """Wrenches of the sensors, in order."""
         return [sensor.at for sensor in self.sensors]
 
     @property
     def units(self) -> list[str]:
-        """The sensors' numbers."""
+        """Numbers of the sensors."""
         return [str(sensor.id) for sensor in self.sensors]
 
 
 class HdtLimb(Table):
-    """An arm or a hand of HDT modules, and the joints that the vendor's driver moves."""
+    """An arm or a hand of HDT modules."""
 
     group: str  # of robot.yaml
     serial: str
     firmware: str
-    every: Annotated[int, Meta(ge=1)] = 1  # of the cycles, in which it is spoken to
+    every: Annotated[int, Meta(ge=1)] = 1  # cycles per exchange with it
 
 
 class HdtBifrost(Device, tag="hdt_bifrost", kw_only=True):
-    """HDT limbs: their driver is a ROS node, behind Bifrost topics and a bridge."""
+    """HDT limbs, behind Bifrost topics, a bridge and the vendor's ROS node."""
 
     rate: Positive = 100.0  # of states and commands [Hz]
-    bus: Annotated[int, Meta(ge=0)] = 2  # CAN, between the driver and the modules
     limbs: Annotated[list[HdtLimb], Meta(min_length=1)]
 
     @property
     def groups(self) -> list[str]:
-        """The limbs'."""
+        """Groups of the limbs."""
         return [limb.group for limb in self.limbs]
 
     @property
     def units(self) -> list[str]:
-        """The limbs, by their groups."""
+        """Limbs, by their groups."""
         return self.groups
 
 
 class Calibration(Table):
-    """Where the encoders' zeros are, and the pose in which that is checked before motors are enabled."""
+    """Zeros of the encoders, and the pose in which they are checked before motors are enabled."""
 
-    offsets: dict[str, float] = {}  # what a joint's encoder says at the joint's zero [rad]; not named: 0
-    pose: dict[str, float] = {}  # in which the robot hangs when it is switched on [rad]; not named: nominal_posture
-    tolerance: Positive = 0.05  # of each joint there [rad]
+    # Joint → encoder value at the joint's zero, default 0; a larger one is another joint's, or in degrees [rad].
+    offsets: dict[str, Annotated[float, Meta(ge=-0.5, le=0.5, extra={"unit": "rad"})]] = {}
+    pose: dict[str, float] = {}  # joint → position of the hanging robot at power-on [rad], default nominal_posture
+    tolerance: Annotated[float, Meta(gt=0, le=0.5, extra={"unit": "rad"})] = 0.05  # of each joint in that pose [rad]
 
 
 class SupplyLimits(Table):
-    """From which temperatures and voltages on a unit is not to be relied on."""
+    """Limits of temperature and voltage of a unit."""
 
-    warm: Positive = 75.0  # the robot shall come to rest [°C]
+    warm: Positive = 75.0  # the robot must come to rest [°C]
     hot: Positive = 95.0  # the unit is about to switch itself off [°C]
-    low: NonNegative = 42.0  # the robot shall come to rest [V]
+    low: NonNegative = 42.0  # the robot must come to rest [V]
     flat: NonNegative = 36.0  # motors are about to switch themselves off [V]
 
     def __post_init__(self) -> None:
@@ -156,7 +154,7 @@ class SupplyLimits(Table):
 
 
 def require_distinct(units: str, key: str, values: Sequence[object]) -> None:
-    """Refuse a value of a key that one of the units before has, too."""
-    for place, value in enumerate(values):
-        if value in values[:place]:
-            raise TableError((units, str(place), key), f"got {value!r}, which stands before, too; expected another")
+    """Reject a value of a key that an earlier unit has as well."""
+    for row, value in enumerate(values):
+        if value in values[:row]:
+            raise TableError((units, str(row), key), f"got {value!r}, which an earlier row has; expected another")

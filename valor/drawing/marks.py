@@ -1,7 +1,4 @@
-"""What is drawn about a robot that is no part of it: forces, balance, support, out of what it says of itself.
-
-Geometry alone, of public messages; who draws it is another's affair. All is in one frame, that of the soles' poses.
-"""
+"""Marks drawn around a robot: forces, balance, support, from public messages; all in the frame of the soles' poses."""
 
 from __future__ import annotations
 
@@ -13,59 +10,63 @@ from itertools import pairwise
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.colors import COM, COP, DCM, DCM_REFERENCE, FORCE, SUPPORT
 from valor.common.poses import Pose
-from valor.robot.polygon import convex_hull
-from valor.robot.soles import outline
+from valor.robot.soles import convex_hull, outline
 from valor.robot.tables import Feet
 
-METRES_A_NEWTON = 1e-3  # of a force's arrow, for a robot as heavy as ESCHER
-TOUCHING = 20.0  # a foot that carries less shows no force [N]
-LIFT = 0.006  # of what lies on the ground, so that it is seen [m]
+# Palette of Okabe and Ito, suitable for color-blind viewers: of the robot in films, the operator's page and Foxglove.
+LEFT, RIGHT = "#0072b2", "#d55e00"  # feet, soles, knees
+FORCE, SUPPORT, COM, DCM, DCM_REFERENCE, COP = "#d55e00", "#56b4e9", "#e69f00", "#cc79a7", "#22272e", "#009e73"
+BALANCE = {"com": COM, "dcm": DCM, "dcm_reference": DCM_REFERENCE, "cop": COP}
+"""By name of the point's topic."""
+
+METRES_A_NEWTON = 1e-3  # Scale of force arrows for a robot of ESCHER's weight [m/N]
+TOUCHING = 20.0  # Least vertical force drawn [N]
+LIFT = 0.006  # Height of marks above the ground, for visibility [m]
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """Red, green and blue of ``#rrggbb``, 0 to 255."""
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return red, green, blue
 
 
 @dataclass(frozen=True)
 class Arrow:
-    """From where to where [m]."""
+    """Arrow between two points [m]."""
 
     start: FloatArray  # (3,)
     end: FloatArray  # (3,)
     color: str  # #rrggbb
     width: float = 0.018  # of its shaft [m]
-    alpha: float = 1.0
 
 
 @dataclass(frozen=True)
 class Ball:
-    """A point."""
+    """Ball at a point."""
 
     position: FloatArray  # (3,) [m]
     color: str
     radius: float = 0.03  # [m]
-    alpha: float = 1.0
 
 
 @dataclass(frozen=True)
-class Line:
-    """Through points, perhaps back to the first."""
+class Polyline:
+    """Line through points, optionally closed."""
 
     points: FloatArray  # (n, 3) [m]
     color: str
     width: float = 0.006  # [m]
     closed: bool = False
-    alpha: float = 1.0
 
 
-Mark = Arrow | Ball | Line
+Mark = Arrow | Ball | Polyline
 
 
 def forces(soles: Sequence[Pose], wrenches: FloatArray, scale: float = METRES_A_NEWTON) -> list[Mark]:
-    """An arrow under each foot that carries weight: its force, from where that acts in the sole.
+    """Return an arrow of the ground force for each loaded foot, from the point of action in the sole.
 
-    Args:
-        soles: of the left and the right foot.
-        wrenches: (2, 6) on them by the ground, force [N] and torque [N·m], each in its sole.
-        scale: [m/N].
+    ``wrenches`` (2, 6) act on the left and right sole, force [N] and torque [N·m] in the sole; ``scale`` is in m/N.
     """
     marks: list[Mark] = []
     for sole, wrench in zip(soles, wrenches, strict=True):
@@ -79,13 +80,7 @@ def forces(soles: Sequence[Pose], wrenches: FloatArray, scale: float = METRES_A_
 
 
 def support(soles: Sequence[Pose], contacts: Sequence[bool], feet: Feet) -> list[Mark]:
-    """The outline of what carries: the convex hull of the soles that stand, at the higher one's height.
-
-    Args:
-        soles: of the left and the right foot.
-        contacts: which of them stand.
-        feet: their sizes.
-    """
+    """Return the outline of the support polygon of the standing feet, at the height of the higher sole."""
     standing = [
         (sole, foot) for sole, stands, foot in zip(soles, contacts, (feet.left, feet.right), strict=True) if stands
     ]
@@ -93,22 +88,17 @@ def support(soles: Sequence[Pose], contacts: Sequence[bool], feet: Feet) -> list
     if len(hull) < 3:
         return []
     height = max(sole.position[2] for sole, _ in standing) + LIFT
-    return [Line(np.array([(x, y, height) for x, y in hull]), SUPPORT, closed=True)]
+    return [Polyline(np.array([(x, y, height) for x, y in hull]), SUPPORT, closed=True)]
 
 
 def balance(com: FloatArray, dcm: FloatArray, reference: FloatArray, cop: FloatArray, ground: float) -> list[Mark]:
-    """CoM with its plumb line; DCM, what it shall be, and CoP, all three where they are over the ground.
+    """Return the CoM with a plumb line; DCM, its reference and the CoP on the ground.
 
-    Args:
-        com: (3,) [m].
-        dcm: (3,) [m].
-        reference: (3,) what the DCM shall be [m].
-        cop: (2,) [m]; NaN without contact.
-        ground: height of the ground there [m].
+    ``com``, ``dcm``, ``reference`` (3,), and ``cop`` (2,), NaN without contact, are in m; ``ground`` is its height [m].
     """
     height = ground + LIFT
     below = np.array([com[0], com[1], height])
-    marks: list[Mark] = [Ball(com, COM, 0.04), Line(np.stack([com, below]), COM, 0.004)]
+    marks: list[Mark] = [Ball(com, COM, 0.04), Polyline(np.stack([com, below]), COM, 0.004)]
     for point, color, radius in ((reference, DCM_REFERENCE, 0.02), (dcm, DCM, 0.03), (cop, COP, 0.025)):
         if np.isfinite(point).all():
             marks.append(Ball(np.array([point[0], point[1], height]), color, radius))
@@ -116,5 +106,5 @@ def balance(com: FloatArray, dcm: FloatArray, reference: FloatArray, cop: FloatA
 
 
 def trace(points: FloatArray, color: str, width: float = 0.006) -> list[Mark]:
-    """The way that a point went: (n, 3) [m]."""
-    return [Line(np.stack(pair), color, width) for pair in pairwise(points)] if len(points) > 1 else []
+    """Return the path of a point: (n, 3) positions [m]."""
+    return [Polyline(np.stack(pair), color, width) for pair in pairwise(points)] if len(points) > 1 else []

@@ -1,8 +1,4 @@
-"""MuJoCo's renderer without a display.
-
-``mujoco.Renderer`` takes whatever OpenGL platform ``MUJOCO_GL`` named when mujoco was first imported, which somebody
-else did. Here the platform is ours: EGL, unless ``MUJOCO_GL`` says ``osmesa``.
-"""
+"""MuJoCo's renderer without a display: with EGL, or OSMesa if ``MUJOCO_GL`` is ``osmesa``, at any import order."""
 
 from __future__ import annotations
 
@@ -16,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.drawing.errors import OFFSCREEN, RenderingError
-from valor.drawing.marks import Arrow, Ball, Line, Mark
+from valor.drawing import OFFSCREEN, RenderingError
+from valor.drawing.marks import Arrow, Ball, Mark, Polyline, rgb
 
 Image = npt.NDArray[np.uint8]
 
@@ -26,11 +22,7 @@ _INSTALL = f"no off-screen OpenGL here: install {' '.join(OFFSCREEN)} (Debian, U
 
 
 class Offscreen:
-    """Draws images of one size of one model.
-
-    Raises:
-        RenderingError: the OpenGL platform is not there; names what to install.
-    """
+    """Draws images of one model in one size. Raises RenderingError: no OpenGL platform is available."""
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self._model = model
@@ -43,13 +35,13 @@ class Offscreen:
         self._option = mujoco.MjvOption()
 
     def render(self, data: mujoco.MjData, camera: mujoco.MjvCamera, marks: Iterable[Mark] = ()) -> Image:
-        """(height, width, 3) what the camera sees, and marks that are no part of the model."""
+        """Return (height, width, 3) the image of the camera, with marks."""
         everything = mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_updateCamera(self._model, data, camera, self._scene)  # the headlight takes the scene's last camera
+        mujoco.mjv_updateCamera(self._model, data, camera, self._scene)  # the headlight uses the scene's last camera
         drawn = tuple(marks)
         self._option.flags[mujoco.mjtVisFlag.mjVIS_TRANSPARENT] = any(
-            not isinstance(mark, Line)
-            for mark in drawn  # which stand inside the robot
+            not isinstance(mark, Polyline)
+            for mark in drawn  # inside the robot
         )
         mujoco.mjv_updateScene(self._model, data, self._option, None, camera, everything, self._scene)
         for mark in drawn:
@@ -59,19 +51,18 @@ class Offscreen:
         return self._image[::-1]  # OpenGL's first row is the lowest
 
     def close(self) -> None:
-        """Give the graphics memory back."""
+        """Free the graphics memory."""
         self._context.free()
         self._platform.free()
 
 
 def _add(scene: mujoco.MjvScene, mark: Mark) -> None:
-    """Add a mark to what is drawn next, as far as there is room."""
     if isinstance(mark, Ball):
         _geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, mark, np.full(3, mark.radius), mark.position)
         return
     shape = mujoco.mjtGeom.mjGEOM_ARROW if isinstance(mark, Arrow) else mujoco.mjtGeom.mjGEOM_CAPSULE
     points = (mark.start, mark.end) if isinstance(mark, Arrow) else mark.points
-    closing = points[:1] if isinstance(mark, Line) and mark.closed else ()
+    closing = points[:1] if isinstance(mark, Polyline) and mark.closed else ()
     for start, end in pairwise([*points, *closing]):
         made = _geom(scene, shape, mark, np.zeros(3), np.zeros(3))
         if made is not None:
@@ -84,15 +75,14 @@ def _geom(
     if scene.ngeom >= scene.maxgeom:
         return None
     made = scene.geoms[scene.ngeom]
-    rgba = np.array([*(int(mark.color[i : i + 2], 16) / 255 for i in (1, 3, 5)), mark.alpha], dtype=np.float32)
+    rgba = np.array([*(part / 255 for part in rgb(mark.color)), 1.0], dtype=np.float32)
     mujoco.mjv_initGeom(made, shape, size, np.asarray(position, float), np.eye(3).ravel(), rgba)
-    made.emission = 0.35  # seen in the robot's shade, too
+    made.emission = 0.35  # visible in the robot's shade
     scene.ngeom += 1
     return made
 
 
 def _platform(width: int, height: int) -> Any:
-    """A current OpenGL context."""
     try:
         if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
             from mujoco.osmesa import GLContext
@@ -100,7 +90,7 @@ def _platform(width: int, height: int) -> Any:
             from mujoco.egl import GLContext
         context = GLContext(width, height)
         context.make_current()
-    except Exception as error:  # whatever the platform's bindings raise when a library or a device is missing
+    except Exception as error:  # any error of the bindings if a library or a device is missing
         text = " ".join(str(error).split()) or type(error).__name__
         raise RenderingError(f"{_INSTALL}; {text}") from None
     return context

@@ -1,4 +1,4 @@
-"""The robot in its world, in good light, drawn off screen."""
+"""Off-screen pictures of the robot in its world."""
 
 from __future__ import annotations
 
@@ -10,37 +10,36 @@ import numpy as np
 from PIL import Image as Pillow
 
 from valor.common.arrays import FloatArray
-from valor.drawing import ground_tiles
+from valor.drawing import Posture
 from valor.drawing.marks import Mark
 from valor.drawing.offscreen import Image, Offscreen
-from valor.drawing.posture import Posture
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, robot_spec
 from valor.simulation import worlds
 
-_EXTENT = 2.0  # of what is looked at, whatever the world's: haze, shadows and clipping follow it [m]
-_AHEAD = 1.5  # of a camera of the robot's: the point that it looks at [m]
-_SUN = (2.5, -1.7, 3.5)  # from where it shines, seen from below the point looked at [m]
+_EXTENT = 2.0  # Extent for haze, shadows and clipping, for any world [m]
+_AHEAD = 1.5  # Distance of the point that a robot camera looks at [m]
+_SUN = (2.5, -1.7, 3.5)  # Position of the sun relative to the ground below the point looked at [m]
 
 
 @dataclass(frozen=True)
 class Quality:
-    """How much work an image is."""
+    """Rendering quality."""
 
-    larger: float  # it is drawn this much larger, then averaged: edges without steps
-    shadow: int  # of the shadows' map [pixels]
-    slices: int  # of what is round
+    larger: float  # scale of the rendering before averaging, against jagged edges
+    shadow: int  # size of the shadow map [pixels]
+    slices: int  # of round shapes
 
 
 STILL = Quality(larger=2.0, shadow=8192, slices=28)
 MOVING = Quality(larger=1.3, shadow=1024, slices=16)
-SMALL = Quality(larger=2.0, shadow=2048, slices=16)  # of which a pixel shows more
+SMALL = Quality(larger=2.0, shadow=2048, slices=16)  # for small images
 
 
 def scene_spec(
     robot: RobotDescription, size: tuple[int, int], world: str, seed: int, quality: Quality = STILL
 ) -> mujoco.MjSpec:
-    """The robot and its world in a studio: plain sky, one sun with shadows and a fill."""
+    """Return the robot and its world with plain sky, one sun with shadows and a fill light."""
     spec = robot_spec(robot, "all")
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.shadowsize = quality.shadow
@@ -64,7 +63,6 @@ def scene_spec(
     )
     spec.stat.extent = _EXTENT
     ground = worlds.load(world, seed, worlds.size_of(robot))
-    ground_tiles.split(ground)
     spec.attach(ground, frame=spec.worldbody.add_frame(), prefix=worlds.PREFIX)
     spec.worldbody.add_light(
         name="sun",
@@ -87,19 +85,9 @@ def scene_spec(
 
 
 class Scene:
-    """Draws one robot in its world, posture by posture.
+    """Draws one robot in its world, posture by posture; ``add`` extends the scene before compilation.
 
-    Args:
-        robot: the robot.
-        width, height: of the images [pixels].
-        world: where it stands.
-        seed: of the world.
-        quality: how much work an image is.
-        add: what else is drawn: adds it to the scene before that is compiled.
-
-    Raises:
-        RenderingError: there is no off-screen OpenGL here; names what to install.
-        ConfigurationError: there is no such world.
+    Raises RenderingError (no off-screen OpenGL) or ConfigurationError (the world does not exist).
     """
 
     def __init__(
@@ -126,28 +114,24 @@ class Scene:
         self._sun = self._model.mj.light("sun").id
 
     def close(self) -> None:
-        """Give the graphics memory back."""
+        """Free the graphics memory."""
         self._offscreen.close()
 
     def look_at(
-        self,
-        point: FloatArray,
-        azimuth: float = 148.0,
-        elevation: float = -8.0,
-        distance: float = 2.62,
+        self, point: FloatArray, azimuth: float = 148.0, elevation: float = -8.0, distance: float = 2.62
     ) -> None:
         """Turn the camera to a point (3,) in world [m], from a direction [degrees] and a distance [m]."""
         self._camera.lookat[:] = point
         self._camera.azimuth, self._camera.elevation, self._camera.distance = azimuth, elevation, distance
-        self._light(point, azimuth)
+        self._light(point)
 
     def look_through(self, camera: str) -> None:
-        """Draw what a camera of the model sees from now on."""
+        """Draw from a camera of the model."""
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = self._model.mj.camera(camera).id
 
     def draw(self, posture: Posture, marks: Iterable[Mark] = ()) -> Image:
-        """(height, width, 3) the robot in a posture, and marks about it."""
+        """Return (height, width, 3) the image of a posture with marks."""
         data, model = self._data, self._model
         data.qpos[:3] = posture.pelvis_position
         data.qpos[3:7] = posture.pelvis_orientation
@@ -160,13 +144,12 @@ class Scene:
         if self._camera.type == mujoco.mjtCamera.mjCAMERA_FIXED:
             ahead = -data.cam_xmat[self._camera.fixedcamid].reshape(3, 3)[:, 2]
             point = data.cam_xpos[self._camera.fixedcamid] + _AHEAD * ahead
-            self._light(point, float(np.rad2deg(np.arctan2(ahead[1], ahead[0]))))
+            self._light(point)
             mujoco.mj_camlight(model.mj, data)
         image = self._offscreen.render(data, self._camera, marks)
         return np.asarray(Pillow.fromarray(image).resize(self._size, Pillow.Resampling.BOX))
 
-    def _light(self, point: FloatArray, azimuth: float) -> None:
-        """The sun and the ground for a point (3,) in world [m], seen in a direction [degrees]."""
-        # MuJoCo draws shadows near the lamp alone.
+    def _light(self, point: FloatArray) -> None:
+        """Move the sun to (3,) a point in world [m]."""
+        # MuJoCo draws shadows only near the lamp.
         self._model.mj.light_pos[self._sun] = (*(point[:2] + _SUN[:2]), _SUN[2])
-        ground_tiles.show(self._model.mj, point, azimuth)

@@ -1,41 +1,165 @@
-"""The state codec: a vector of the layout as some fifty to a hundred bytes, by itself or against an acknowledged frame.
+"""State codec: 30 to 100 bytes per frame, absolute or predicted from an acknowledged frame.
 
-A frame that stands by itself has every number as one of its levels, all alike. A predicted one has the differences to
-a reference, a frame that the receiver is known to have; of each group the size of its differences is told first, which
-sets their probabilities. So no frame needs any but the one that it names: what is lost is lost alone.
+An absolute frame encodes each value with equal probabilities of its levels. A predicted frame encodes the differences
+to a reference that the receiver has acknowledged; the scale of each group's differences, encoded first, sets their
+probabilities. A frame depends only on its reference, so that a lost frame affects no other.
+
+The entropy coder is a range asymmetric numeral system (J. Duda, 2009, uniform and range variants) on one unbounded
+integer: only the padding of the last byte is overhead. Every non-negative integer decodes to symbols; after the last
+symbol the state must be the initial one, else the input is malformed.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from bisect import bisect_right
 from collections import OrderedDict
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.link.entropy import SCALES, Symbol, Uniform, Unpacker, pack, residual, take_residual
 from valor.link.errors import CodecError
-from valor.link.fields import Layout
-from valor.link.orientation import whole, without
+from valor.link.fields import Layout, from_smallest_three, without
 
-KEPT = 512  # frames that may be referred to
-DISTANCE = Uniform(KEPT)  # from a frame to its reference, in frames; 0: it stands by itself
+BEGIN = 1
+TOTAL_BITS = 14  # log2 of the sum of a distribution's frequencies
+LONGEST = 1024  # input [B]
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Values 0 … count − 1 with equal probabilities."""
+
+    count: int
+
+    def push(self, state: int, value: int) -> int:
+        """Push a value onto the state."""
+        return state * self.count + value
+
+    def pop(self, state: int) -> tuple[int, int]:
+        """Pop a value: the remaining state, and the value."""
+        return divmod(state, self.count)
+
+
+class Weighted:
+    """Values 0 … n − 1 with given weights; every probability is positive."""
+
+    def __init__(self, weights: Iterable[float]) -> None:
+        weights = list(weights)
+        room = (1 << TOTAL_BITS) - len(weights)
+        whole = sum(weights)
+        frequencies = [1 + int(room * weight / whole) for weight in weights]
+        frequencies[0] += (1 << TOTAL_BITS) - sum(frequencies)
+        self._frequencies = frequencies
+        self._starts = [0]
+        for frequency in frequencies[:-1]:
+            self._starts.append(self._starts[-1] + frequency)
+
+    def push(self, state: int, value: int) -> int:
+        """Like ``Uniform.push``."""
+        quotient, rest = divmod(state, self._frequencies[value])
+        return (quotient << TOTAL_BITS) + self._starts[value] + rest
+
+    def pop(self, state: int) -> tuple[int, int]:
+        """Like ``Uniform.pop``."""
+        slot = state & ((1 << TOTAL_BITS) - 1)
+        value = bisect_right(self._starts, slot) - 1
+        return self._frequencies[value] * (state >> TOTAL_BITS) + slot - self._starts[value], value
+
+
+Symbol = tuple[Uniform | Weighted, int]
+
+
+def pack(symbols: Iterable[Symbol]) -> bytes:
+    """Encode symbols; ``Unpacker`` returns them in the same order."""
+    state = BEGIN
+    for distribution, value in reversed(list(symbols)):
+        state = distribution.push(state, value)
+    return state.to_bytes((state.bit_length() + 7) // 8, "big")
+
+
+class Unpacker:
+    """Decodes symbols."""
+
+    def __init__(self, data: bytes) -> None:
+        """Start.
+
+        Raises:
+            CodecError: malformed.
+        """
+        if not data or len(data) > LONGEST or not data[0]:
+            raise CodecError(f"{len(data)} bytes; expected 1 to {LONGEST}, the first not 0")
+        self._state = int.from_bytes(data, "big")
+
+    def take(self, distribution: Uniform | Weighted) -> int:
+        """Next value."""
+        self._state, value = distribution.pop(self._state)
+        return value
+
+    def finish(self) -> None:
+        """Check that all symbols have been taken.
+
+        Raises:
+            CodecError: more or fewer symbols than taken.
+        """
+        if self._state != BEGIN:
+            raise CodecError("more or fewer symbols than expected")
+
+
+SCALES = 16
+"""Number of scales of residuals: scale s has a mean size of about 2^(s − 2); at scale 0 all residuals are 0."""
+_BITS = 40  # longest residual
+
+
+@cache
+def bit_lengths(scale: int) -> Weighted:
+    """Distribution of the bit length of a residual, for geometrically distributed sizes with the mean of ``scale``."""
+    mean = 2.0 ** (scale - 2)
+    ratio = mean / (1.0 + mean)
+    edges = [0, *(1 << k for k in range(_BITS + 1))]  # a size of k bits is from 2^(k−1) to 2^k − 1
+    return Weighted(ratio**low - ratio**high for low, high in itertools.pairwise(edges))
+
+
+def residual(value: int, scale: int) -> list[Symbol]:
+    """Symbols of a signed number; ``scale``: not 0."""
+    bits = abs(value).bit_length()
+    symbols: list[Symbol] = [(bit_lengths(scale), bits)]
+    if bits:
+        symbols.append((Uniform(1 << bits), (abs(value) - (1 << (bits - 1))) * 2 + (value < 0)))
+    return symbols
+
+
+def take_residual(unpacker: Unpacker, scale: int) -> int:
+    """Inverse of ``residual``."""
+    bits = unpacker.take(bit_lengths(scale))
+    if not bits:
+        return 0
+    size, negative = divmod(unpacker.take(Uniform(1 << bits)), 2)
+    size += 1 << (bits - 1)
+    return -size if negative else size
+
+
+KEPT = 512  # frames that may be references
+DISTANCE = Uniform(KEPT)  # to the reference, in frames; 0: absolute
 FLAG = Uniform(2)
-FIRST = "status"  # the group by which others are predicted
+FIRST = "status"  # group on which the prediction of others depends
 
 Levels = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What arrives.
+    """Quantised state.
 
     Attributes:
         values: (N,) in the layout's order.
-        clamped: (N,) where the truth lies beyond the range, or was no number.
-        levels: (N,) the numbers as quantised.
+        clamped: (N,) whether the value was outside its range, or not finite.
+        levels: (N,) quantised values.
     """
 
     values: FloatArray
@@ -44,17 +168,17 @@ class Frame:
 
 
 class Codec:
-    """Encodes and decodes frames of one layout; keeps nothing."""
+    """Encodes and decodes frames of one layout; stateless."""
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self._most = np.array(layout.levels) - 1
         self._uniform = [Uniform(count) for count in layout.levels]
         self._groups = [layout.groups[FIRST], *(each for name, each in layout.groups.items() if name != FIRST)]
-        self._orientation, self._largest = layout.places["base_orientation"], layout.places["base_largest"].start
+        self._orientation, self._largest = layout.slices["base_orientation"], layout.slices["base_largest"].start
 
     def quantise(self, values: FloatArray) -> Frame:
-        """What will arrive of values (N,), whatever they are."""
+        """Frame of any values (N,)."""
         layout = self.layout
         finite = np.where(np.isfinite(values), values, np.where(values > 0, layout.high, layout.low))
         inside = np.clip(finite, layout.low, layout.high)
@@ -67,11 +191,11 @@ class Codec:
         return values
 
     def encode(self, frame: Frame, reference: Frame | None = None, distance: int = 0) -> bytes:
-        """As bytes.
+        """Encode a frame.
 
         Args:
-            frame: by ``quantise``.
-            reference: that the receiver has; None: it stands by itself.
+            frame: of ``quantise``.
+            reference: frame that the receiver has; None: absolute.
             distance: of the reference, in frames, 1 to 511.
         """
         symbols: list[Symbol] = [(DISTANCE, distance if reference else 0)]
@@ -88,11 +212,11 @@ class Codec:
         return pack(symbols)
 
     def _predicted(self, reference: Frame, largest: int) -> Levels:
-        """(N,) levels of the reference, its orientation told as the frame's is."""
+        """(N,) levels of the reference, with the frame's choice of quaternion components."""
         was = int(reference.levels[self._largest])
         if was == largest:
             return reference.levels
-        quaternion = whole(reference.values[self._orientation], was)
+        quaternion = from_smallest_three(reference.values[self._orientation], was)
         levels = reference.levels.copy()
         place = self._orientation
         told = (without(quaternion, largest)[0] - self.layout.low[place]) / self.layout.step[place]
@@ -101,28 +225,28 @@ class Codec:
 
     @staticmethod
     def distance(data: bytes) -> int:
-        """How many frames before this one its reference was; 0: it stands by itself.
+        """Distance of the reference, in frames; 0: absolute.
 
         Raises:
-            CodecError: these are no bytes of a frame.
+            CodecError: malformed.
         """
         return Unpacker(data).take(DISTANCE)
 
     def decode(self, data: bytes, reference: Frame | None = None) -> Frame:
-        """What ``encode`` was given.
+        """Inverse of ``encode``.
 
         Args:
             data: of one frame.
-            reference: that it names.
+            reference: at ``distance``.
 
         Raises:
-            CodecError: these are no bytes of a frame, or the reference is missing.
+            CodecError: malformed, or the reference is missing.
         """
         unpacker = Unpacker(data)
         if unpacker.take(DISTANCE) == 0:
             levels = np.array([unpacker.take(each) for each in self._uniform], dtype=np.int64)
         elif reference is None:
-            raise CodecError("predicted from a frame that is not here")
+            raise CodecError("reference frame missing")
         else:
             levels = self._differences(unpacker, reference)
         clamped = np.zeros(self.layout.size, dtype=bool)
@@ -140,7 +264,7 @@ class Codec:
             for place in group:
                 level = int(predicted[place]) + (take_residual(unpacker, scale) if scale else 0)
                 if not 0 <= level <= self._most[place]:
-                    raise CodecError(f"value {place} beyond its range")
+                    raise CodecError(f"value {place} outside its range")
                 levels[place] = level
         return levels
 
@@ -154,7 +278,7 @@ def _group(differences: list[int]) -> list[Symbol]:
 
 
 class Sender:
-    """Encodes a stream of frames against the newest that is acknowledged, or by themselves, whichever is shorter."""
+    """Encodes a stream of frames, predicted from the latest acknowledged one or absolute, whichever is shorter."""
 
     def __init__(self, codec: Codec) -> None:
         self._codec = codec
@@ -162,7 +286,7 @@ class Sender:
         self._reference = -1
 
     def encode(self, values: FloatArray, number: int) -> bytes:
-        """The bytes of frame ``number``, which grows from frame to frame."""
+        """Encode frame ``number``, which increases from frame to frame."""
         frame = self._codec.quantise(values)
         data = self._codec.encode(frame)
         reference, distance = self._sent.get(self._reference), number - self._reference
@@ -174,7 +298,7 @@ class Sender:
         return data
 
     def acknowledged(self, number: int) -> None:
-        """The receiver has this frame. It keeps it until a newer one is referred to."""
+        """Use this frame, which the receiver has, as the reference."""
         if number in self._sent and number > self._reference:
             self._reference = number
             while next(iter(self._sent)) < number:
@@ -189,10 +313,10 @@ class Receiver:
         self._seen: OrderedDict[int, Frame] = OrderedDict()
 
     def decode(self, data: bytes, number: int) -> Frame:
-        """Frame ``number``.
+        """Decode frame ``number``.
 
         Raises:
-            CodecError: as of ``Codec.decode``.
+            CodecError: like ``Codec.decode``.
         """
         distance = self._codec.distance(data)
         frame = self._codec.decode(data, self._seen.get(number - distance) if distance else None)

@@ -1,19 +1,15 @@
-"""What goes wrong on a link. One line each."""
+"""Errors of the link."""
 
 from valor.common.errors import ValorError
 
 
 class LinkError(ValorError):
-    """Base of what the link raises."""
+    """Base class."""
 
 
 class CodecError(LinkError):
-    """Bytes that no encoder of this table made, or whose reference frame is not here."""
+    """A state that this table's encoder has not made, or whose reference frame is missing."""
 
 
 class SealError(LinkError):
-    """A datagram that is not of this session, not whole, or has been here before."""
-
-
-class BulkError(LinkError):
-    """A thing of the fast channel that cannot be had, or kept; says which and why."""
+    """A datagram of another session, malformed or received before; or a message that cannot be sent."""

@@ -1,28 +1,30 @@
-"""Every field of the state on the link: what it is, its range, how far from the truth it may arrive.
+"""Fields of the state on the link, with range and resolution.
 
-A field is quantised to ``step``, so that it arrives within half a step; outside of its range it is clamped, and flagged.
-The fields of a group share one statistic, chosen anew for every frame.
+A field is quantised to ``step``: its error is at most half a step. Outside its range it is clamped and flagged. The
+fields of a group share one probability distribution, selected for every frame.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from valor.common.arrays import FloatArray
 from valor.common.behaviors import REFLEX, Behavior, ControlMode
 from valor.robot.description import RobotDescription
 
 UNKNOWN = "unknown"
 MODES = (UNKNOWN, *ControlMode)
 BEHAVIORS = (UNKNOWN, REFLEX, *Behavior)
-JOINT_MARGIN = 0.15  # beyond robot.yaml's limits, to which joints give way under load [rad]
+JOINT_MARGIN = 0.15  # outside robot.yaml's limits, for joints deflected by load [rad]
 COMPONENT = 0.70711  # of a quaternion: the largest that the second largest can be
 
 
 @dataclass(frozen=True)
 class Field:
-    """One line of the table: ``size`` values, each from ``low`` to ``high``."""
+    """``size`` values, each from ``low`` to ``high``."""
 
     name: str
     size: int
@@ -35,7 +37,7 @@ class Field:
 
     @property
     def bound(self) -> float:
-        """How far from what was measured it arrives at most, within its range."""
+        """Largest error within its range."""
         return self.step / 2
 
 
@@ -68,11 +70,11 @@ BY_NAME = {field.name: field for field in FIELDS}
 JOINT_STEP = 0.002  # [rad]
 
 
-ENDLESS = 200.0  # so far either way does a joint without limits count [rad]
+ENDLESS = 200.0  # range of a joint without limits, in each direction [rad]
 
 
 def joint_fields(robot: RobotDescription) -> tuple[Field, ...]:
-    """One a joint, in robot.yaml's order, in the groups in which robot.yaml has them."""
+    """One field per joint, in the order and groups of robot.yaml."""
     groups = {joint: name for name in robot.tables.groups for joint in robot.tables.group(name)}
     lower = np.where(np.isfinite(robot.lower), robot.lower - JOINT_MARGIN, -ENDLESS)
     upper = np.where(np.isfinite(robot.upper), robot.upper + JOINT_MARGIN, ENDLESS)
@@ -83,18 +85,18 @@ def joint_fields(robot: RobotDescription) -> tuple[Field, ...]:
 
 
 class Layout:
-    """The table for one robot, as vectors over all values, joints last.
+    """Fields of one robot as vectors over all values, joints last.
 
     Attributes:
         size: N, of the vectors.
-        low: (N,) least values.
-        high: (N,) greatest values, on the grid of steps.
+        low: (N,) smallest values.
+        high: (N,) largest values, on the grid of steps.
         step: (N,).
-        levels: of each, how many numbers there are.
-        groups: of each group, the places in the vectors.
-        places: of each field and joint, where it stands.
-        fields: of each field.
-        joints: where the joints stand.
+        levels: (N,) number of levels of each value.
+        groups: indices of each group.
+        slices: of each field and joint.
+        fields: slices without joints.
+        joints: slice of the joints.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -108,12 +110,38 @@ class Layout:
         self.high = self.low + (counts - 1) * self.step
         self.levels: list[int] = counts.tolist()
         self.size = len(self.levels)
-        self.places: dict[str, slice] = {}
+        self.slices: dict[str, slice] = {}
         self.groups: dict[str, list[int]] = {}
         place = 0
         for field in fields:
-            self.places[field.name] = slice(place, place + field.size)
+            self.slices[field.name] = slice(place, place + field.size)
             self.groups.setdefault(field.group, []).extend(range(place, place + field.size))
             place += field.size
         self.joints = slice(self.size - len(joints), self.size)
-        self.fields = {field.name: self.places[field.name] for field in FIELDS}
+        self.fields = {field.name: self.slices[field.name] for field in FIELDS}
+
+
+def smallest_three(quaternion: Any) -> tuple[FloatArray, int]:
+    """(3,) components in order without the largest, and its index; the sign makes the largest positive.
+
+    Args:
+        quaternion: (4,) w, x, y, z, of any norm; zero or not finite: counts as the identity.
+    """
+    q = np.asarray(quaternion, dtype=float)
+    norm = float(np.linalg.norm(q))
+    if not np.isfinite(norm) or norm < 1e-9:
+        return np.zeros(3), 0
+    return without(q / norm, int(np.argmax(np.abs(q))))
+
+
+def without(q: FloatArray, largest: int) -> tuple[FloatArray, int]:
+    """Like ``smallest_three``, for a unit quaternion and a given component to omit."""
+    sign = -1.0 if q[largest] < 0.0 else 1.0
+    return np.clip(np.delete(q, largest) * sign, -COMPONENT, COMPONENT), largest
+
+
+def from_smallest_three(components: FloatArray, largest: int) -> FloatArray:
+    """(4,) unit quaternion; inverse of ``smallest_three``."""
+    q = np.insert(components, largest, np.sqrt(max(0.0, 1.0 - float(components @ components))))
+    unit: FloatArray = q / np.linalg.norm(q)
+    return unit

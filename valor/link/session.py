@@ -1,13 +1,15 @@
-"""A session between the two ends: who the other one is, sealed datagrams, and none taken twice.
+"""Session between the two ends: a handshake with fresh numbers of both, sealed datagrams, rejection of duplicates.
 
-Both ends have a key pair (Curve25519, Bifrost's). Each says hello with a number of its own, drawn when it starts; when
-both numbers are known to be fresh, a key each way follows from them. So nothing that was sent before either end
-started can be opened. Datagrams are sealed with AES-256-CCM with a tag of 8 bytes, as where every byte counts (CCM_8 of
-RFC 6655); their counter is the nonce. What must not push others out of the window of counters has keys and counters of
-its own, of ChaCha20-Poly1305 (RFC 8439, ``keys``).
+The handshake is AKEP2 (M. Bellare and P. Rogaway, "Entity Authentication and Key Distribution", 1993) with the secret
+of both ends' Bifrost keys (Curve25519). ``o`` and ``r`` are numbers drawn by the operator's and the robot's end:
 
-On the wire: ``0`` for a hello that asks for one or ``2`` for an answer, the sender's number (16), the other end's as
-the sender knows it (16), fingerprint (8), BLAKE2b of these (16); or ``1``, counter (4), sealed records and tag (8).
+1. Operator: ``0``, o (16), fingerprint (8), mark (16): keyed BLAKE2b of the rest.
+2. Robot: ``2``, o, r (16), its fingerprint, mark.
+3. Operator: ``3``, o, tag (8): the first datagram under the session's keys, HKDF-SHA256 of the secret, o and r.
+
+The robot's end starts the session with 3, the operator's with the first datagram under its keys. Either number is used
+for one session only. Datagrams are sealed with AES-256-CCM and a short tag of 8 bytes (CCM_8 of RFC 6655), and their
+counter is the nonce: ``1``, counter (4), sealed records and tag (8).
 """
 
 from __future__ import annotations
@@ -16,175 +18,199 @@ import hashlib
 import hmac
 import secrets
 import struct
-from dataclasses import dataclass, field
 
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
-from cryptography.hazmat.primitives.ciphers.aead import AESCCM, ChaCha20Poly1305
+from cryptography.hazmat.primitives.ciphers.aead import AESCCM
+from cryptography.hazmat.primitives.hashes import SHA256
+from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 from zmq.utils import z85
 
 from valor.link.errors import SealError
 
-ASKS, SEALED, ANSWERS = 0, 1, 2
-NUMBER, FINGERPRINT, TAG = 16, 8, 16
-SEAL = 8  # of a sealed datagram's tag [B]
+HELLO, SEALED, ANSWER, CONFIRMATION = 0, 1, 2, 3
+NUMBER, FINGERPRINT, MARK = 16, 8, 16
+SEAL = 8  # tag of a sealed datagram [B]
 _HEADER = struct.Struct(">BI")
 OVERHEAD = _HEADER.size + SEAL
-"""Of a sealed datagram beside its records [B]."""
-WINDOW = 1024  # counters behind the highest that may still come
+"""Bytes of a sealed datagram in addition to its records [B]."""
+WINDOW = 1024  # counters behind the highest that are accepted
+CANDIDATES = 8  # sessions that the robot's end may have started
 
 
 def shared_secret(own_secret: bytes, other_public: bytes) -> bytes:
-    """(32,) what the owners of two key pairs alone can know; keys in Z85, as Bifrost has them."""
+    """(32,) secret that only the owners of the two key pairs can compute; keys in Z85, like Bifrost's."""
     private = X25519PrivateKey.from_private_bytes(z85.decode(own_secret))
     return private.exchange(X25519PublicKey.from_public_bytes(z85.decode(other_public)))
 
 
 def fingerprint(*contents: bytes) -> bytes:
-    """(8,) by which both ends see that they speak of the same robot in the same words."""
+    """(8,) digest of files and tables that must be equal at both ends."""
     digest = hashlib.blake2b(digest_size=FINGERPRINT)
     for content in contents:
         digest.update(len(content).to_bytes(8, "big") + content)
     return digest.digest()
 
 
-@dataclass
 class _Keys:
-    """Of one session, as one end has them."""
+    """Keys and counters of one session at one end; counter 0 is the confirmation's."""
 
-    sending: AESCCM
-    receiving: AESCCM
-    counter: int = 0
-    highest: int = -1
-    seen: set[int] = field(default_factory=set)
+    def __init__(self, down: bytes, up: bytes, robot_end: bool) -> None:
+        self._sending, self._receiving = (AESCCM(key, SEAL) for key in ((down, up) if robot_end else (up, down)))
+        self.counter, self._highest = 0, -1
+        self._seen: set[int] = set()
+
+    def confirmation(self, header: bytes) -> bytes:
+        return header + self._sending.encrypt(_nonce(0), b"", header)
+
+    def confirms(self, data: bytes) -> bool:
+        return self._decrypted(0, data[-SEAL:], data[:-SEAL]) is not None
+
+    def seal(self, records: bytes) -> bytes:
+        self.counter += 1
+        header = _HEADER.pack(SEALED, self.counter)  # raises before a counter is used again
+        return header + self._sending.encrypt(_nonce(self.counter), records, header)
+
+    def open(self, data: bytes) -> tuple[bytes, int] | None:
+        """Records and counter; None if not of this session, corrupted, too old or received before."""
+        header, counter = data[: _HEADER.size], _HEADER.unpack_from(data)[1]
+        if not counter or counter in self._seen or counter <= self._highest - WINDOW:
+            return None
+        if (records := self._decrypted(counter, data[_HEADER.size :], header)) is None:
+            return None
+        self._seen.add(counter)
+        self._highest = max(self._highest, counter)
+        if len(self._seen) > 2 * WINDOW:
+            self._seen = {each for each in self._seen if each > self._highest - WINDOW}
+        return records, counter
+
+    def _decrypted(self, counter: int, sealed: bytes, header: bytes) -> bytes | None:
+        try:
+            return self._receiving.decrypt(_nonce(counter), sealed, header)
+        except InvalidTag:
+            return None
 
 
 class Session:
-    """One end of it.
+    """One end of the session.
 
     Attributes:
-        established: whether datagrams can be sealed and opened.
-        number: how many sessions there have been; whoever sees it change has lost all that was under way.
-        strange: why the other end's hello was not accepted; empty: it was, or there was none.
+        number: of sessions so far; a change means that pending messages are lost.
+        mismatch: reason for which the other end is rejected; empty if it is not.
     """
 
     def __init__(self, secret: bytes, robot_end: bool, print_: bytes) -> None:
-        """Begin.
-
-        Args:
-            secret: shared with the other end.
-            robot_end: which end this is.
-            print_: what must be the same at the other end.
-        """
+        """``secret``: shared with the other end; ``print_``: fingerprint that the other end must have, too."""
         self._secret, self._robot_end, self._print = secret, robot_end, print_
-        self._own, self._other = secrets.token_bytes(NUMBER), bytes(NUMBER)
+        self._mark_key = self._derived(b"", b"handshake", 32)
+        self._own = secrets.token_bytes(NUMBER)
+        self._asks = False  # whether the operator's end expects an answer
         self._keys: _Keys | None = None
-        self._begun: tuple[bytes, bytes] | None = None  # both ends' numbers, the robot's first
+        self._candidates: list[_Keys] = []  # of the operator's end: answered, no datagram received yet
+        self._confirmation = b""  # of the latest candidate
         self.number = 0
-        self.strange = ""
+        self.mismatch = ""
 
     @property
     def established(self) -> bool:
-        """Whether both ends' numbers are known to be fresh."""
+        """Whether datagrams can be sealed and opened."""
         return self._keys is not None
 
-    def hello(self, asks: bool) -> bytes:
-        """What to send while the other end is not heard (it ``asks`` for an answer), and in answer."""
-        body = bytes((ASKS if asks else ANSWERS,)) + self._own + self._other + self._print
-        return body + self._mark(body)
+    def requests(self) -> list[bytes]:
+        """Datagrams of the operator's end that request a session; none at the robot's end."""
+        if self._robot_end:
+            return []
+        if not self._asks:
+            self._asks, self._own = True, secrets.token_bytes(NUMBER)
+        hello = self._marked(bytes((HELLO,)) + self._own + self._print)
+        return [self._confirmation, hello] if self._confirmation else [hello]
 
-    def _mark(self, body: bytes) -> bytes:
-        robot = self._robot_end == (body[1 : 1 + NUMBER] == self._own)
-        return hashlib.blake2b((b"robot" if robot else b"operator") + body, key=self._secret, digest_size=TAG).digest()
-
-    def hear(self, data: bytes) -> bool:
-        """A hello; whether to answer it with one.
-
-        Raises:
-            SealError: it is not from the other end, or of another robot.
-        """
-        body, mark = data[:-TAG], data[-TAG:]
-        if len(data) != 1 + 2 * NUMBER + FINGERPRINT + TAG or not hmac.compare_digest(self._mark(body), mark):
-            raise SealError("a hello that the other end has not made")
-        other, known = body[1 : 1 + NUMBER], body[1 + NUMBER : 1 + 2 * NUMBER]
-        if other == self._own:
-            raise SealError("a hello of one's own")
-        if body[-FINGERPRINT:] != self._print:
-            self.strange = "the other end has another version, or other files of the robot"
-            raise SealError(self.strange)
-        self.strange = ""
-        if known == self._own and (other != self._other or self._keys is None):  # fresh: of this process
-            self._other = other
-            self._keys = self._derive()
-            self.number += 1
-        elif self._keys is None:
-            self._other = other
-        # While somebody begins anew a session goes on, until their next hello shows that they know this end's number.
-        return data[0] == ASKS
-
-    def _derive(self) -> _Keys:
-        self._begun = (self._own, self._other) if self._robot_end else (self._other, self._own)
-        down, up = (AESCCM(each, SEAL) for each in self._secrets(b""))
-        return _Keys(down, up) if self._robot_end else _Keys(up, down)
-
-    def keys(self, purpose: bytes) -> tuple[ChaCha20Poly1305, ChaCha20Poly1305]:
-        """To send by and to receive by, of this session and for one purpose (at most 16 bytes) alone.
+    def receive(self, data: bytes) -> bytes:
+        """Process a datagram of the handshake; returns the reply, empty if there is none.
 
         Raises:
-            SealError: there is no session.
+            SealError: not from the other end, of another robot, or of an earlier handshake.
         """
-        down, up = map(ChaCha20Poly1305, self._secrets(purpose))
-        return (down, up) if self._robot_end else (up, down)
+        kind = data[:1]
+        if self._robot_end and kind == bytes((HELLO,)):
+            (operators,) = self._checked(data, 1)
+            return self._marked(bytes((ANSWER,)) + operators + self._own + self._print)
+        if self._robot_end and kind == bytes((CONFIRMATION,)) and len(data) == 1 + NUMBER + SEAL:
+            keys = self._session_keys(data[1 : 1 + NUMBER], self._own)
+            if not keys.confirms(data):
+                raise SealError("confirmation of another session")
+            self._own = secrets.token_bytes(NUMBER)
+            self._start(keys)
+            return b""
+        if not self._robot_end and kind == bytes((ANSWER,)):
+            return self._answered(data)
+        raise SealError("not a datagram of the other end")
 
-    def _secrets(self, purpose: bytes) -> tuple[bytes, bytes]:
-        """From the robot, and to it."""
-        if self._begun is None:
-            raise SealError("no session")
-        robot, operator = self._begun
-        both = hashlib.blake2b(robot + operator, key=self._secret, digest_size=64, person=purpose).digest()
-        return both[:32], both[32:]
+    def _answered(self, data: bytes) -> bytes:
+        if not self._asks or data[1 : 1 + NUMBER] != self._own:
+            raise SealError("answer to an earlier hello")
+        own, robots = self._checked(data, 2)
+        if self.mismatch:
+            raise SealError(self.mismatch)
+        self._own = secrets.token_bytes(NUMBER)
+        keys = self._session_keys(own, robots)
+        self._candidates = [*self._candidates[1 - CANDIDATES :], keys]
+        self._confirmation = keys.confirmation(bytes((CONFIRMATION,)) + own)
+        return b"" if self.established else self._confirmation  # a silent session may continue until the next request
+
+    def _checked(self, data: bytes, numbers: int) -> list[bytes]:
+        """Numbers of a hello or answer; sets ``mismatch``."""
+        size = 1 + numbers * NUMBER
+        if len(data) != size + FINGERPRINT + MARK or not hmac.compare_digest(data, self._marked(data[:-MARK])):
+            raise SealError("a hello with another key, or of another version")
+        equal = data[size:-MARK] == self._print
+        self.mismatch = "" if equal else "the other end has another version, or other files of the robot"
+        return [data[at : at + NUMBER] for at in range(1, size, NUMBER)]
+
+    def _marked(self, body: bytes) -> bytes:
+        return body + hashlib.blake2b(body, key=self._mark_key, digest_size=MARK).digest()
+
+    def _session_keys(self, operators: bytes, robots: bytes) -> _Keys:
+        both = self._derived(operators + robots, b"session", 64)
+        return _Keys(both[:32], both[32:], self._robot_end)
+
+    def _derived(self, salt: bytes, info: bytes, length: int) -> bytes:
+        return HKDF(SHA256(), length, salt, b"valor link " + info).derive(self._secret)
+
+    def _start(self, keys: _Keys) -> None:
+        self._keys, self._candidates, self._confirmation = keys, [], b""
+        self.number += 1
 
     @property
     def next_counter(self) -> int:
-        """Of the datagram that is sealed next."""
+        """Counter of the next sealed datagram."""
         return self._keys.counter + 1 if self._keys else 0
 
     def seal(self, records: bytes) -> bytes:
-        """A datagram.
+        """Sealed datagram.
 
         Raises:
-            SealError: there is no session.
+            SealError: no session.
         """
-        keys = self._keys
-        if keys is None:
+        if self._keys is None:
             raise SealError("no session")
-        keys.counter += 1
-        header = _HEADER.pack(SEALED, keys.counter)
-        sealed = keys.sending.encrypt(_nonce(keys.counter), records, header)
-        return header + sealed
+        return self._keys.seal(records)
 
     def open(self, data: bytes) -> tuple[bytes, int]:
-        """The records of a sealed datagram, and its counter.
+        """Records of a sealed datagram, and its counter; the first one of a new session starts it.
 
         Raises:
-            SealError: it is not of this session, not whole, or has been here before.
+            SealError: not of this session, corrupted, too old or received before.
         """
-        keys = self._keys
-        if keys is None or len(data) < OVERHEAD:
-            raise SealError("no session" if keys is None else "a datagram too short")
-        header = data[: _HEADER.size]
-        counter = _HEADER.unpack(header)[1]
-        if counter in keys.seen or counter <= keys.highest - WINDOW:
-            raise SealError("a datagram that has been here before, or is too old to know")
-        try:
-            records = keys.receiving.decrypt(_nonce(counter), data[_HEADER.size :], header)
-        except InvalidTag:
-            raise SealError("a datagram of another session, or not whole") from None
-        keys.seen.add(counter)
-        keys.highest = max(keys.highest, counter)
-        if len(keys.seen) > 2 * WINDOW:
-            keys.seen = {each for each in keys.seen if each > keys.highest - WINDOW}
-        return records, counter
+        if len(data) < OVERHEAD:
+            raise SealError("datagram too short")
+        for keys in (self._keys, *self._candidates):
+            if keys is not None and (opened := keys.open(data)) is not None:
+                if keys is not self._keys:
+                    self._start(keys)
+                self._asks, self.mismatch = False, ""
+                return opened
+        raise SealError("datagram of another session, corrupted, too old or received before")
 
 
 def _nonce(counter: int) -> bytes:

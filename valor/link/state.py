@@ -1,4 +1,4 @@
-"""The robot's state as people name it, to and from the vector that the codec sends."""
+"""Robot state with named fields, and its conversion to the codec's vector."""
 
 from __future__ import annotations
 
@@ -10,39 +10,37 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.link.codec import Frame
-from valor.link.fields import BEHAVIORS, BY_NAME, MODES, UNKNOWN, Layout
-from valor.link.orientation import smaller, whole
+from valor.link.fields import BEHAVIORS, BY_NAME, MODES, UNKNOWN, Layout, from_smallest_three, smallest_three
 
 VELOCITY_AGE = BY_NAME["velocity_age"]
-
-
-def _zeros(size: int) -> FloatArray:
-    return np.zeros(size)
+_NAMES = {"mode": MODES, "requested_mode": MODES, "behavior": BEHAVIORS}
+# Largest values that are not infinite; the age of a velocity is not flagged when it saturates.
+_AGES = {"mode_age": np.inf, "behavior_age": np.inf, "velocity_age": VELOCITY_AGE.high - VELOCITY_AGE.bound}
 
 
 @dataclass
 class RobotState:
-    """What a frame says; fields, units and bounds are those of ``fields.py``.
+    """Robot state; fields, units and bounds as in ``fields.py``.
 
     Attributes:
         joints: (n,) [rad].
         base_orientation: (4,) pelvis in odom: w, x, y, z.
         foot_forces: (6,) left, right [N].
         foot_torques: (6,) left, right [N·m].
-        mode_age: of the mode when the frame was made; received ages are upper bounds [s].
-        velocity_age: of the newest velocity that the robot's end passed on, when the frame was made [s].
+        mode_age: of the mode when the frame was encoded; received ages are upper bounds [s].
+        velocity_age: of the latest velocity published by the robot's end, when the frame was encoded [s].
         clamped: (N,) of the layout; empty unless received.
     """
 
     joints: FloatArray
     clock: int = 0
     stamp: int = 0
-    base_position: FloatArray = field(default_factory=lambda: _zeros(3))
+    base_position: FloatArray = field(default_factory=lambda: np.zeros(3))
     base_orientation: FloatArray = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
-    base_velocity: FloatArray = field(default_factory=lambda: _zeros(3))
-    base_turn: FloatArray = field(default_factory=lambda: _zeros(3))
-    foot_forces: FloatArray = field(default_factory=lambda: _zeros(6))
-    foot_torques: FloatArray = field(default_factory=lambda: _zeros(6))
+    base_velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    base_turn: FloatArray = field(default_factory=lambda: np.zeros(3))
+    foot_forces: FloatArray = field(default_factory=lambda: np.zeros(6))
+    foot_torques: FloatArray = field(default_factory=lambda: np.zeros(6))
     mode: str = UNKNOWN
     requested_mode: str = UNKNOWN
     mode_status: int = 0
@@ -59,12 +57,11 @@ class RobotState:
     def vector(self, layout: Layout) -> FloatArray:
         """(N,) for the codec."""
         values = np.zeros(layout.size)
-        components, largest = smaller(self.base_orientation)
+        components, largest = smallest_three(self.base_orientation)
         told: dict[str, Any] = {
             "base_orientation": components, "base_largest": largest,
-            "mode": _place(self.mode, MODES), "requested_mode": _place(self.requested_mode, MODES),
-            "behavior": _place(self.behavior, BEHAVIORS),
-            "velocity_age": min(self.velocity_age, VELOCITY_AGE.high),  # mostly none is sent: not worth a flag
+            **{name: _index(getattr(self, name), names) for name, names in _NAMES.items()},
+            "velocity_age": min(self.velocity_age, VELOCITY_AGE.high),  # usually saturated: no clamped flag
         }  # fmt: skip
         for name, place in layout.fields.items():
             values[place] = told[name] if name in told else getattr(self, name)
@@ -73,31 +70,22 @@ class RobotState:
 
     @classmethod
     def of(cls, frame: Frame, layout: Layout) -> RobotState:
-        """What a frame says."""
+        """State of a decoded frame."""
         told = {name: frame.values[place] for name, place in layout.fields.items()}
         largest = round(float(told.pop("base_largest")[0]))
-        orientation = whole(told.pop("base_orientation"), largest)
-        vectors = {name: value for name, value in told.items() if len(value) > 1}
-        numbers = {name: float(value[0]) for name, value in told.items() if len(value) == 1}
-        beyond = {name: bool(frame.clamped[layout.fields[name]].any()) for name in ("mode_age", "behavior_age")}
-        beyond["velocity_age"] = numbers["velocity_age"] > VELOCITY_AGE.high - VELOCITY_AGE.bound
-        ages = {name: np.inf if far else numbers[name] + BY_NAME[name].bound for name, far in beyond.items()}
-        numbers = {name: value for name, value in numbers.items() if name not in ages}
-        whole_numbers = {name: round(value) for name, value in numbers.items()}
-        names = {
-            name: kinds[whole_numbers.pop(name)]
-            for name, kinds in (("mode", MODES), ("requested_mode", MODES), ("behavior", BEHAVIORS))
-        }
-        return cls(
-            joints=frame.values[layout.joints],
-            base_orientation=orientation,
-            clamped=frame.clamped,
-            **vectors,  # type: ignore[arg-type]
-            **ages,  # type: ignore[arg-type]
-            **whole_numbers,  # type: ignore[arg-type]
-            **names,
-        )
+        orientation = from_smallest_three(told.pop("base_orientation"), largest)
+        fields: dict[str, Any] = {}
+        for name, value in told.items():
+            if name in _NAMES:
+                fields[name] = _NAMES[name][round(float(value[0]))]
+            elif name in _AGES:
+                far = bool(frame.clamped[layout.fields[name]].any()) or value[0] > _AGES[name]
+                fields[name] = np.inf if far else float(value[0]) + BY_NAME[name].bound
+            else:
+                fields[name] = value if len(value) > 1 else round(float(value[0]))
+        joints = frame.values[layout.joints]
+        return cls(joints=joints, base_orientation=orientation, clamped=frame.clamped, **fields)
 
 
-def _place(name: str, names: tuple[str, ...]) -> int:
+def _index(name: str, names: tuple[str, ...]) -> int:
     return names.index(name) if name in names else 0

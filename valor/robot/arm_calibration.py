@@ -1,8 +1,4 @@
-"""``calibration/arms.yaml``: what was found of the arms' drives and links. Made by ``valorctl calibrate arm``.
-
-It stands beside robot.yaml and goes before its nominal numbers; a robot without it goes by those. Words are those of
-``Gear`` in ``tables.py``.
-"""
+"""``calibration/arms.yaml``, by ``valorctl calibrate arm``: parameters of the arms that replace robot.yaml's."""
 
 from __future__ import annotations
 
@@ -11,7 +7,7 @@ import hashlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated
 
 import msgspec
 import yaml
@@ -22,40 +18,39 @@ from valor.common.document import Document
 from valor.common.errors import ConfigurationError
 from valor.common.table import NonNegative, Table, TableError, plain, read
 from valor.robot.description import RobotDescription
+from valor.robot.tables import SIDES
 
 FILE = "calibration/arms.yaml"  # in the robot's folder
-ANEW = "calibrate anew (valorctl calibrate arm), or delete the file"
+ANEW = "calibrate again (valorctl calibrate arm), or delete the file"
 
-Side = Literal["left", "right"]
-SIDES: tuple[Side, ...] = get_args(Side)
 WIDEST_PLAY = 0.3  # [rad]
 _HEAD = """\
-# What `valorctl calibrate arm` found of the arms' drives and links. The Motion Manager reads it when it starts, and
-# goes by nominal numbers without it. Units: m, kg, rad, N·m, N·m·s/rad.
+# Parameters of the arms' drives and links, identified by `valorctl calibrate arm`. The Motion Manager reads them at
+# startup; without this file it uses nominal values. Units: m, kg, rad, N·m, N·m·s/rad.
 """
 
 
 class JointCalibration(Table, kw_only=True):
-    """A joint's drive."""
+    """Drive of a joint."""
 
     friction: NonNegative  # Coulomb, at the joint [N·m]
-    damping: NonNegative  # viscous, all of it [N·m·s/rad]
-    offset: float  # of the measured torque, in every posture [N·m]
-    backlash: Annotated[float, Meta(ge=0, le=WIDEST_PLAY)] | None = None  # peak to peak [rad]; absent: did not show
-    effort_share: Annotated[float, Meta(ge=0, le=1)]  # of Motor's effort that the device takes
-    strength: Annotated[float, Meta(gt=0, le=2)]  # share of the servo's gains that acts
-    residual: NonNegative  # torque that all this leaves unexplained, RMS [N·m]
+    damping: NonNegative  # total viscous damping [N·m·s/rad]
+    offset: float  # constant offset of the measured torque [N·m]
+    backlash: Annotated[float, Meta(ge=0, le=WIDEST_PLAY)] | None = None  # peak to peak [rad]; None: unknown
+    effort_share: Annotated[float, Meta(ge=0, le=1)]  # share of Motor's effort that the device applies
+    strength: Annotated[float, Meta(gt=0, le=2)]  # effective share of the servo's gains
+    residual: NonNegative  # RMS of the unexplained torque [N·m]
 
 
 class LinkCalibration(Table, kw_only=True):
-    """A body of the model that moves with a joint of the arm."""
+    """Body of an arm."""
 
     mass: Annotated[float, Meta(gt=0, le=100)]  # [kg]
     com: Annotated[list[Annotated[float, Meta(ge=-2, le=2)]], Meta(min_length=3, max_length=3)]  # in the body [m]
 
 
 class ArmCalibration(Table, kw_only=True):
-    """One arm: what it was found from, and what was found."""
+    """Calibration of one arm."""
 
     poses: Annotated[int, Meta(ge=1)]
     samples: Annotated[int, Meta(ge=1)]
@@ -64,34 +59,30 @@ class ArmCalibration(Table, kw_only=True):
 
 
 class ArmCalibrations(Table, kw_only=True):
-    """The file as a whole."""
+    """Content of the file."""
 
     robot: str
-    fits: str  # of what it was found for: see ``fingerprint``
+    fits: str  # ``fingerprint`` of the calibrated robot
     left_arm: ArmCalibration | None = None
     right_arm: ArmCalibration | None = None
 
     def present(self) -> Iterator[tuple[str, ArmCalibration]]:
-        """Group and table of each arm that was calibrated, left first."""
+        """Yield group and table of each calibrated arm, left first."""
         for side in SIDES:
             if (arm := getattr(self, f"{side}_arm")) is not None:
                 yield f"{side}_arm", arm
 
     def joints(self) -> dict[str, JointCalibration]:
-        """Of all arms, by name."""
+        """Return the joints of all arms by name."""
         return {name: joint for _, arm in self.present() for name, joint in arm.joints.items()}
 
     def links(self) -> dict[str, LinkCalibration]:
-        """Of all arms, by body."""
+        """Return the links of all arms by body."""
         return {name: link for _, arm in self.present() for name, link in arm.links.items()}
 
 
 def fingerprint(robot: RobotDescription) -> str:
-    """What a calibration stands on, in 16 digits: the model, and the arms' joints as robot.yaml has them.
-
-    Raises:
-        ConfigurationError: the model's file cannot be read.
-    """
+    """Return a hash of the model file and the arms' joints in robot.yaml, 16 hex digits."""
     try:
         found = hashlib.blake2b(robot.model_file.read_bytes(), digest_size=8)
     except OSError as error:
@@ -103,31 +94,18 @@ def fingerprint(robot: RobotDescription) -> str:
 
 
 def load(robot: RobotDescription) -> ArmCalibrations | None:
-    """A robot's calibration; None: it has none, and goes by nominal numbers.
-
-    Raises:
-        ConfigurationError: the file or a key is wrong, or it is not of this robot as it is; in one line with file,
-            line and key.
-    """
+    """Return a robot's calibration, or None. Raises ConfigurationError if it is invalid or of another robot."""
     file = robot.folder / FILE
     if not file.is_file():
         return None
     table = read(ArmCalibrations, file)
-    for broken in _strange(robot, table):
+    for broken in _violations(robot, table):
         raise Document.load(file).error(broken.path, broken.what)
     return table
 
 
 def joined(robot: RobotDescription, arms: dict[str, ArmCalibration]) -> ArmCalibrations:
-    """What a robot's file is to say once arms were calibrated: of the others what it says, if that still fits.
-
-    Args:
-        robot: whose arms.
-        arms: what was found, by group.
-
-    Raises:
-        ConfigurationError: as of ``fingerprint``.
-    """
+    """Return new calibrations by group, merged with those of other arms that still fit."""
     kept: dict[str, ArmCalibration] = {}
     with contextlib.suppress(ConfigurationError):
         kept = dict(before.present()) if (before := load(robot)) else {}
@@ -135,7 +113,7 @@ def joined(robot: RobotDescription, arms: dict[str, ArmCalibration]) -> ArmCalib
 
 
 def text(table: ArmCalibrations) -> str:
-    """The file's content."""
+    """Return the content of the file."""
     content = {key: value for key, value in plain(table).items() if value is not None}
     for group, _ in table.present():
         for joint in content[group]["joints"].values():
@@ -145,11 +123,7 @@ def text(table: ArmCalibrations) -> str:
 
 
 def require_writable(robot: RobotDescription) -> None:
-    """See whether ``write`` can.
-
-    Raises:
-        ConfigurationError: it cannot; names the file.
-    """
+    """Raise ConfigurationError if ``write`` is impossible."""
     file = robot.folder / FILE
     try:
         with tempfile.TemporaryFile(dir=file.parent if file.parent.exists() else robot.folder):
@@ -159,11 +133,7 @@ def require_writable(robot: RobotDescription) -> None:
 
 
 def write(robot: RobotDescription, table: ArmCalibrations) -> Path:
-    """Put the file into a robot's folder, whole or not at all; it is read when a process starts.
-
-    Raises:
-        ConfigurationError: it cannot be written; names it.
-    """
+    """Write the file into a robot's folder atomically. Raises ConfigurationError if that fails."""
     file = robot.folder / FILE
     try:
         file.parent.mkdir(exist_ok=True)
@@ -173,8 +143,7 @@ def write(robot: RobotDescription, table: ArmCalibrations) -> Path:
     return file
 
 
-def _strange(robot: RobotDescription, table: ArmCalibrations) -> Iterator[TableError]:
-    """What does not fit the robot."""
+def _violations(robot: RobotDescription, table: ArmCalibrations) -> Iterator[TableError]:
     if table.robot != robot.name:
         yield TableError(("robot",), f"got {table.robot!r}; expected {robot.name!r}")
     for group, arm in table.present():
@@ -187,5 +156,5 @@ def _strange(robot: RobotDescription, table: ArmCalibrations) -> Iterator[TableE
                 what = f"got {joint.friction:g} N·m; expected at most the joint's effort limit, {limit:g} N·m"
                 yield TableError((group, "joints", name, "friction"), what)
     if table.fits != (fits := fingerprint(robot)):
-        what = f"got {table.fits}; expected {fits}: model.xml or the arms' joints in robot.yaml are others: {ANEW}"
+        what = f"got {table.fits}; expected {fits}: model.xml or the arms' joints in robot.yaml changed: {ANEW}"
         yield TableError(("fits",), what)

@@ -1,8 +1,8 @@
-"""What joints may be commanded: how far, how fast, how hard. Who accepts, plans, leads or limits goes by this alone.
+"""Limits of commands, to accept, plan and limit joint commands.
 
-``robot.yaml`` says what a joint can do. What is commanded keeps below its speed, so that its servo can catch up, and is
-brought to speed in a fixed time, for robots publish no acceleration limits. The limiter of the Motion Manager follows
-whatever keeps these limits: exactly, if its velocity does not jump, else as near as ``jumping_velocity`` says.
+Commanded velocities stay below the capabilities in ``robot.yaml``, so that servos can catch up; accelerations follow
+from a fixed time to full velocity. The Motion Manager's limiter follows continuous commands within them exactly, others
+within the error of ``jumping_velocity``.
 """
 
 from __future__ import annotations
@@ -18,36 +18,27 @@ from valor.robot.description import RobotDescription
 
 Indices = npt.NDArray[np.intp]
 
-VELOCITY_FACTOR = 0.8  # of what a joint can do
-ACCELERATION_TIME = 0.1  # from rest to the speed that a joint can do [s]
-SPEED_MARGIN = 1.01  # followed beyond the limit: planners place way-points at the limit itself, and splines swing over
+VELOCITY_FACTOR = 0.8  # of the joint's velocity limit
+ACCELERATION_TIME = 0.1  # from rest to the joint's velocity limit [s]
+SPEED_MARGIN = 1.01  # accepted overshoot: planners place way-points at the limit, and splines exceed it
 PELVIS_NAMES = tuple(f"pelvis_{axis}" for axis in ("x", "y", "z", "roll", "pitch", "yaw"))
 
 
 @dataclass(frozen=True)
 class CommandedLimits:
-    """Limits of n joints.
-
-    Attributes:
-        names: (n,) of the joints.
-        units: (n,) of their positions, each rad or m.
-        lower, upper: (n,) -inf and inf where a joint turns without end.
-        velocity: (n,) [1/s].
-        acceleration: (n,) [1/s²].
-        effort: (n,) [N·m]; inf where none is commanded.
-    """
+    """Command limits of n joints. Vectors (n,) are in the units of positions, rad or m."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    lower: FloatArray
-    upper: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    effort: FloatArray
+    lower: FloatArray  # -inf for continuous joints
+    upper: FloatArray  # inf for continuous joints
+    velocity: FloatArray  # [1/s]
+    acceleration: FloatArray  # [1/s²]
+    effort: FloatArray  # [N·m]; inf for quantities without effort
 
     @classmethod
     def of_joints(cls, robot: RobotDescription) -> CommandedLimits:
-        """Of all joints of a robot, in its order."""
+        """Return the limits of all joints of a robot, in its order."""
         return cls(
             robot.joints,
             ("rad",) * len(robot.joints),
@@ -60,7 +51,7 @@ class CommandedLimits:
 
     @classmethod
     def of_pelvis(cls, robot: RobotDescription) -> CommandedLimits:
-        """Of x, y, z, roll, pitch and yaw of the standing robot's pelvis, led like joints in the support frame."""
+        """Return the limits of pelvis x, y, z, roll, pitch and yaw in the support frame while standing."""
         table, height = robot.tables.pelvis, robot.tables.nominal_base_height
         shift, turn = table.max_shift, (table.max_roll, table.max_pitch, table.max_yaw)
         return cls(
@@ -74,7 +65,7 @@ class CommandedLimits:
         )
 
     def select(self, joints: Indices) -> CommandedLimits:
-        """Of the joints at (k,) places, in their order."""
+        """Return the limits of the joints at (k,) indices, in their order."""
         return CommandedLimits(
             tuple(self.names[i] for i in joints),
             tuple(self.units[i] for i in joints),
@@ -82,7 +73,7 @@ class CommandedLimits:
         )
 
     def and_of(self, others: CommandedLimits) -> CommandedLimits:
-        """Of these joints, then of others."""
+        """Return these limits followed by others."""
         vectors = map(np.concatenate, zip(self._vectors, others._vectors, strict=True))
         return CommandedLimits(self.names + others.names, self.units + others.units, *vectors)
 
@@ -92,38 +83,32 @@ class CommandedLimits:
 
     @cached_property
     def fastest(self) -> FloatArray:
-        """(n,) to which a command is brought, and up to which one is accepted [1/s]."""
+        """Largest accepted and commanded velocity (n,) [1/s]."""
         return SPEED_MARGIN * self.velocity
 
-    # np.minimum and np.maximum: np.clip costs several times as much on vectors this short.
+    # np.minimum and np.maximum: np.clip is several times slower on short vectors.
 
     def position_within(self, position: FloatArray) -> FloatArray:
-        """(n,) brought within the limits; NaN stays."""
+        """Return positions (n,) clipped to the limits; NaN stays."""
         within: FloatArray = np.maximum(np.minimum(position, self.upper), self.lower)
         return within
 
     def velocity_within(self, velocity: FloatArray) -> FloatArray:
-        """(n,) likewise, within ``fastest``."""
+        """Return velocities (n,) clipped to ``fastest``; NaN stays."""
         within: FloatArray = np.maximum(np.minimum(velocity, self.fastest), -self.fastest)
         return within
 
     def acceleration_within(self, acceleration: FloatArray) -> FloatArray:
-        """(n,) likewise."""
+        """Return accelerations (n,) clipped to the limits; NaN stays."""
         within: FloatArray = np.maximum(np.minimum(acceleration, self.acceleration), -self.acceleration)
         return within
 
     def jumping_velocity(self, error: FloatArray) -> FloatArray:
-        """How fast a target may move whose velocity jumps, to be followed to within an error.
+        """Return the largest velocity (n,) of a target with velocity jumps that is followed within an error (n,).
 
-        At worst the target, of speed v, turns round whenever who follows, with the acceleration a, has just caught up.
-        He catches up the faster the farther he is behind, and so swings farther from time to time: up to 9.3·v²/a
-        behind, or, being no faster than V, (v + V)²/(2·a). A little is added for the periods.
-
-        Args:
-            error: (n,) [rad or m].
-
-        Returns:
-            (n,) at most ``fastest`` [1/s].
+        In the worst case the target, of velocity v, reverses whenever the follower, of acceleration a and velocity at
+        most V, has just caught up. Its lag is then at most 9.3·v²/a, or (v + V)²/(2·a). A margin covers the discrete
+        periods.
         """
         swinging = np.sqrt(0.1 * self.acceleration * error)
         turning = np.sqrt(1.9 * self.acceleration * error) - self.fastest

@@ -1,7 +1,6 @@
-"""What a footstep is, and which a robot can take: one rule, for whoever plans steps and for who takes them.
+"""Footsteps and the rule for feasible ones, in plain floats: fifty are checked within one control period.
 
-Displacements are those of a sole seen from the other foot's sole, turned by that foot's heading: x forward, y left,
-z up. Python floats, for a plan of fifty steps is checked between two periods of control.
+Displacements are of a sole relative to the other sole, in its heading: x forward, y left, z up.
 """
 
 from __future__ import annotations
@@ -18,20 +17,20 @@ from valor.robot.tables import Feet
 
 LEFT, RIGHT = 0, 1
 FEET = ("left", "right")
-UNIT = 1e-3  # how far a quaternion's norm may be from 1 and still be an orientation
-_ROUNDING = 1e-6  # allowed beyond a limit: the durations of a plan may be float32
+UNIT = 1e-3  # largest deviation of an orientation quaternion's norm from 1
+_ROUNDING = 1e-6  # tolerance of limits: durations of a plan may be float32
 
 
 class Sole(Protocol):
-    """Where a sole is: its frame in the frame that all soles of a plan are in."""
+    """Pose of a sole in the common frame of a plan."""
 
     @property
     def position(self) -> Sequence[float] | FloatArray:
-        """(3,) [m]."""
+        """Position (3,) [m]."""
 
     @property
     def rotation(self) -> Sequence[Sequence[float]] | FloatArray:
-        """(3, 3)."""
+        """Rotation (3, 3)."""
 
 
 SoleT = TypeVar("SoleT", bound=Sole)
@@ -39,38 +38,33 @@ SoleT = TypeVar("SoleT", bound=Sole)
 
 @dataclass(frozen=True)  # no slots: with them `Step[SolePose](…)` fails
 class Step(Generic[SoleT]):
-    """One step."""
+    """Footstep."""
 
     index: int
     foot: int  # LEFT or RIGHT
-    sole: SoleT  # where it ends, in odom
-    swing_height: float  # [m]; asked for as 0: the robot's own
-    swing_duration: float  # [s]; likewise
-    transfer_duration: float  # of the double support before [s]; likewise
-    adjustable: float = 0.0  # how far the robot may move it, either way along each axis, to keep its balance [m]
+    sole: SoleT  # final pose, in odom
+    swing_height: float  # [m]; 0: the robot's default
+    swing_duration: float  # [s]; 0: the robot's default
+    transfer_duration: float  # of the preceding double support [s]; 0: the robot's default
+    adjustable: float = 0.0  # largest adjustment along each axis to keep balance [m]
 
     @property
     def name(self) -> str:
-        """As it is called in texts."""
+        """Name in messages."""
         return f"step {self.index} ({FEET[self.foot]})"
 
 
 @dataclass(frozen=True, slots=True)
 class StepRule:
-    """What the steps of a robot have to keep.
-
-    Attributes:
-        limits: of steps.
-        feet: the robot's.
-        terms: what swing height, swing duration and transfer duration are called where steps come from.
-    """
+    """Rule of feasible steps of a robot."""
 
     limits: Footsteps
     feet: Feet
+    # Of swing height, swing duration and transfer duration in messages.
     terms: tuple[str, str, str] = ("swing_height", "swing_duration", "transfer_duration")
 
     def alone(self, step: Step[SoleT]) -> str:
-        """Why a step cannot be taken anywhere, with the values expected; an empty text: it can."""
+        """Return why a step is infeasible anywhere, with the expected values; empty if feasible."""
         limits = self.limits
         tilt = acos(min(1.0, max(-1.0, float(step.sole.rotation[2][2]))))
         height, swing, transfer = self.terms
@@ -86,7 +80,7 @@ class StepRule:
         return _fault(step.name, checks)
 
     def reach(self, step: Step[SoleT], other: Sole) -> str:
-        """Why a step is out of reach while the other foot stands at ``other``; an empty text: it is not."""
+        """Return why a step is out of reach with the other foot at ``other``; empty if within reach."""
         limits, sole = self.limits, step.sole
         dx, dy, up = (float(a) - float(b) for a, b in zip(sole.position, other.position, strict=True))
         heading = _yaw(other)
@@ -105,7 +99,7 @@ class StepRule:
         )
 
     def beside(self, step: Step[SoleT], other: Sole) -> str:
-        """Why a step cannot be taken while the other foot stands at ``other``; an empty text: it can."""
+        """Return why a step is infeasible with the other foot at ``other``; empty if feasible."""
         sole = step.sole
         distance = hypot(*(float(a) - float(b) for a, b in zip(sole.position[:2], other.position[:2], strict=True)))
         far = ("distance from the other foot", distance, 0.0, self.limits.max_distance, "m")
@@ -119,13 +113,12 @@ class StepRule:
 
 
 def _yaw(sole: Sole) -> float:
-    """Heading of the x axis [rad]."""
     return atan2(sole.rotation[1][0], sole.rotation[0][0])
 
 
 def _fault(name: str, checks: Sequence[tuple[str, float, float, float, str]]) -> str:
-    """The first value that is not between its bounds."""
+    """Return a message about the first value outside its bounds; empty if there is none."""
     for what, value, low, high, unit in checks:
-        if not low - _ROUNDING <= value <= high + _ROUNDING:  # NaN is within nothing
+        if not low - _ROUNDING <= value <= high + _ROUNDING:  # also rejects NaN
             return f"{name}: {what} {value:.4g} {unit}; expected {low:g} to {high:g}"
     return ""

@@ -1,4 +1,4 @@
-"""``get_up.yaml``: how a robot gets up from where it may lie. Made offline, by optimisation (``valor.planning``)."""
+"""``get_up.yaml``: the key poses of Get Up. Generated offline by ``valor.get_up_planning``."""
 
 from __future__ import annotations
 
@@ -7,25 +7,28 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from valor.common.arrays import FloatArray
 from valor.common.table import NonNegative, Positive, Table, TableError, read
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
+from valor.robot.posture_move import PostureMove
 
 FILE = "get_up.yaml"  # in the robot's folder
+_ROUNDING = 0.01  # of durations in the file [s]
 
 Angle = Annotated[float, Meta(ge=-180, le=180)]
 """Of the pelvis [deg]."""
 
 
 class KeyPose(Table, kw_only=True):
-    """Where joints go, how long they take, and how the pelvis is to lie or stand afterwards."""
+    """Joint angles of a pose, its timing, and the pelvis pitch afterwards."""
 
     name: str
-    duration: Positive  # [s]
-    hold: NonNegative = 0.0  # then [s]
+    duration: Annotated[float, Meta(ge=0.1, le=60, extra={"unit": "s"})]  # at least as its joints' limits require [s]
+    hold: NonNegative = 0.0  # after arrival [s]
     pitch: Annotated[list[Angle], Meta(min_length=2, max_length=2)]  # of the pelvis afterwards, from and to [deg]
-    balanced: bool = False  # on the way there and in the hold, by `balance`
-    joints: dict[str, float]  # [rad]; the others stay where the pose before had them
+    balanced: bool = False  # with `balance` during motion and hold
+    joints: dict[str, float]  # [rad]; default: as in the previous pose
 
     def __post_init__(self) -> None:
         if self.pitch[0] >= self.pitch[1]:
@@ -33,15 +36,15 @@ class KeyPose(Table, kw_only=True):
 
 
 class Balance(Table):
-    """How a robot on both soles keeps its CoM above them: proportional to the DCM ahead of their middle."""
+    """Balance on both soles: ankle angle proportional to the DCM ahead of the middle of the soles."""
 
-    joints: Annotated[list[str], Meta(min_length=1)]  # the ankles, whose positive angle lowers the toes
+    joints: Annotated[list[str], Meta(min_length=1)]  # ankle joints; a positive angle lowers the toes
     gain: Positive  # [rad/m]
-    limit: Positive  # of the angle added [rad]
+    limit: Positive  # of the added angle [rad]
 
 
 class GetUpTable(Table):
-    """The file as a whole."""
+    """Content of the file."""
 
     roll: Annotated[float, Meta(gt=0, le=180)]  # of the pelvis, at most [deg]
     balance: Balance
@@ -49,29 +52,39 @@ class GetUpTable(Table):
 
 
 def load(robot: RobotDescription) -> GetUpTable | None:
-    """A robot's table; None: it has none, and does not get up.
-
-    Raises:
-        ConfigurationError: the file or a key is wrong, or of another robot; in one line with file, line and key.
-    """
+    """Return a robot's table, or None if it cannot get up. Raises ConfigurationError with file, line and key."""
     file = robot.folder / FILE
     if not file.is_file():
         return None
     table = read(GetUpTable, file)
-    for broken in _strange(robot, table):
+    for broken in _violations(robot, table):
         from valor.common.document import Document
 
         raise Document.load(file).error(broken.path, broken.what)
     return table
 
 
-def _strange(robot: RobotDescription, table: GetUpTable) -> Iterator[TableError]:
-    """What the robot does not have, or cannot do."""
+def _violations(robot: RobotDescription, table: GetUpTable) -> Iterator[TableError]:
     limits = CommandedLimits.of_joints(robot)
+    before: FloatArray | None = None
     yield from _unknown(robot, ("balance", "joints"), table.balance.joints)
     for i, pose in enumerate(table.face_down):
         path = ("face_down", str(i), "joints")
         yield from _unknown(robot, path, pose.joints)
+        if not set(pose.joints) <= set(robot.index):
+            return
+        posture = (robot.nominal_posture if before is None else before).copy()
+        posture[[robot.index[name] for name in pose.joints]] = list(pose.joints.values())
+        if before is not None:  # the first pose starts from any posture
+            move = PostureMove(
+                before, posture, velocity=limits.velocity, acceleration=limits.acceleration, began=0.0, shortest=0.0
+            )
+            if pose.duration < move.duration - _ROUNDING:
+                what = (
+                    f"got {pose.duration:g} s; expected at least {move.duration:.2f} s, as its joints' limits require"
+                )
+                yield TableError(("face_down", str(i), "duration"), what)
+        before = posture
         for name, position in pose.joints.items():
             lower, upper = limits.lower[robot.index[name]], limits.upper[robot.index[name]]
             if not lower <= position <= upper:

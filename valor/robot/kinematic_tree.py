@@ -1,8 +1,6 @@
-"""The robot's links and frames, as tf needs them, and its description for other tools of ROS.
+"""Links and frames of a robot for tf, and its URDF.
 
-They come from the MuJoCo model, which ``load`` compiles in a process of its own: a service that has no other use for
-MuJoCo would keep its memory. From the tree every link's transform to its parent is one rotation of its hinge, so
-no forward kinematics is needed but that of the legs, for ``base_footprint``.
+``load`` compiles the model in a separate process, so that services do not keep MuJoCo's memory.
 """
 
 from __future__ import annotations
@@ -19,19 +17,19 @@ Quaternion = tuple[float, float, float, float]  # w, x, y, z
 
 
 class Link(msgspec.Struct, frozen=True):
-    """A body, in its parent's frame at joint angle 0."""
+    """Body, in its parent's frame at joint angle 0."""
 
     name: str
     parent: str
     position: tuple[float, float, float]  # [m]
     orientation: Quaternion
-    joint: str  # the hinge between them; empty: fixed
+    joint: str  # hinge between them; empty if fixed
     axis: tuple[float, float, float]  # of the hinge, in the link, unit length
     anchor: tuple[float, float, float]  # of the hinge, in the link [m]
 
 
 class Frame(msgspec.Struct, frozen=True):
-    """A named frame fixed to a link."""
+    """Named frame fixed to a link."""
 
     name: str
     target: str  # body or site of the model
@@ -41,21 +39,17 @@ class Frame(msgspec.Struct, frozen=True):
 
 
 class KinematicTree(msgspec.Struct, frozen=True):
-    """Links, parents first, the base not among them, and frames fixed to links."""
+    """Links, parents first, without the base; and frames fixed to links."""
 
     base: str
-    base_frame: str  # name of the base's frame in ROS
+    base_frame: str  # ROS frame of the base
     links: list[Link]
     frames: list[Frame]
-    urdf: str  # the robot's description (``urdf``)
+    urdf: str  # of the robot
 
     @classmethod
     def load(cls, robot: RobotDescription) -> KinematicTree:
-        """Read the robot's model, in a process that then ends.
-
-        Raises:
-            ConfigurationError: the model cannot be read, or a link has several joints.
-        """
+        """Read the robot's model in a separate process. Raises ConfigurationError if it is invalid."""
         result = subprocess.run(
             [sys.executable, "-m", "valor.robot.model_tree", str(robot.folder)],
             capture_output=True,
@@ -68,5 +62,5 @@ class KinematicTree(msgspec.Struct, frozen=True):
         return msgspec.json.decode(result.stdout, type=cls)
 
     def frame_of(self, target: str) -> str:
-        """The ROS frame of a body or site of the model."""
+        """Return the ROS frame of a body or site of the model."""
         return next((frame.name for frame in self.frames if frame.target == target), target)

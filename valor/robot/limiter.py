@@ -1,4 +1,4 @@
-"""Makes any stream of targets safe to follow: no jump in position, none in velocity, no limit passed."""
+"""Limiter of command streams: continuous position and velocity, within all limits."""
 
 from __future__ import annotations
 
@@ -12,27 +12,20 @@ from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel, clipped
 from valor.robot.commanded_limits import CommandedLimits
 
-Joints = npt.NDArray[np.bool_]  # (n,) which ones
+Joints = npt.NDArray[np.bool_]  # (n,) mask
 
-BRAKE_FACTOR = 0.9  # of the acceleration, that braking is planned with
+BRAKE_FACTOR = 0.9  # share of the acceleration limit that braking is planned with
 
 
 class Limiter:
-    """Commanded positions, each of which follows a target with limited velocity and acceleration.
+    """Commanded positions that follow targets with limited velocity and acceleration, without overshoot.
 
-    A target that keeps the limits is followed exactly, one that does not as fast as the limits allow, without
-    overshoot. What is commanded stays within the position limits; what is found outside them comes in from there.
-    Units are those of the quantity, [rad] or [m].
-
-    Attributes:
-        position: (n,) commanded.
-        velocity: (n,) commanded [1/s].
-        acceleration: (n,) commanded [1/s²].
-        limits: what is kept.
+    Commands stay within the position limits; a joint found outside returns from its position. ``position``,
+    ``velocity`` and ``acceleration`` (n,) are commanded, in [rad] or [m].
     """
 
     def __init__(self, limits: CommandedLimits) -> None:
-        """At rest at 0, or at the limit next to it."""
+        """Start at rest at 0, or at the nearest limit."""
         n = len(limits.names)
         self.limits = limits
         self._brake: FloatArray = BRAKE_FACTOR * limits.acceleration
@@ -41,42 +34,27 @@ class Limiter:
         self.acceleration = np.zeros(n)
         self._asked, self._dt, self._next = np.zeros((4, n)), np.zeros(1), np.zeros((3, n))
         self._evaluate = Kernel("limiter", self._expressions, (self._asked, self._dt), (self._next,))
-        self._before = b""  # what was asked last; empty: not by what it gave
+        self._before = b""  # last input; empty after a reset
 
     def reset(self, joints: Joints, position: FloatArray) -> None:
-        """Take some up, at rest, where they are found.
-
-        Args:
-            joints: (n,) which ones.
-            position: (n,) where.
-        """
+        """Reset the joints of a mask (n,) to rest at positions (n,)."""
         self._before = b""
         self.position = np.where(joints, position, self.position)
         self.velocity = np.where(joints, 0.0, self.velocity)
         self.acceleration = np.where(joints, 0.0, self.acceleration)
 
     def stopping_point(self) -> FloatArray:
-        """(n,) Where each comes to rest when it brakes now, within the position limits."""
+        """Return the positions (n,) at which immediate braking ends, within the position limits."""
         distance = self.velocity * np.abs(self.velocity) / (2.0 * self._brake)
-        return self._within_limits(self.position + distance)
-
-    def _within_limits(self, position: FloatArray) -> FloatArray:
-        """Positions within the limits, where those of what was found outside begin there."""
         lower, upper = np.minimum(self.limits.lower, self.position), np.maximum(self.limits.upper, self.position)
-        within: FloatArray = np.maximum(np.minimum(position, upper), lower)
+        within: FloatArray = np.maximum(np.minimum(self.position + distance, upper), lower)
         return within
 
     def advance(self, target: FloatArray, target_velocity: FloatArray, dt: float) -> None:
-        """Go one period towards a target.
-
-        Args:
-            target: (n,) where they shall be at the end of the period.
-            target_velocity: (n,) how fast the target itself moves [1/s].
-            dt: the period [s].
-        """
+        """Advance one period [s] towards the target at its end (n,) and the target's velocity (n,) [1/s]."""
         np.concatenate((target, target_velocity, self.position, self.velocity), out=self._asked.reshape(-1))
         if (asked := self._asked.tobytes()) == self._before and dt == self._dt[0]:
-            return  # at rest on its target
+            return  # at rest on the target
         self._before = asked
         self._dt[0] = dt
         self._evaluate()
@@ -90,7 +68,7 @@ class Limiter:
         half_step = 0.5 * dt * brake
         error = clipped(target, lower, upper) - target_velocity * dt - now
         distance = ca.fabs(error)
-        # The greatest speed of approach from which braking in steps of dt still ends on the target.
+        # Largest approach velocity from which braking in steps of dt ends on the target.
         approach = ca.fmin(_braking_speed(distance, brake, half_step), distance / dt)
         velocity = target_velocity + ca.copysign(approach, error)
         # Likewise for the position limits.
@@ -99,7 +77,7 @@ class Limiter:
         velocity = ca.fmin(ca.fmin(velocity, up), highest)
         velocity = ca.fmax(ca.fmax(velocity, -down), -highest)
         velocity = clipped(velocity, before - step, before + step)
-        # A target that is no number must not become one on the way: who sends the command refuses it.
+        # NaN and inf must stay visible: the sender of the command rejects them.
         velocity = ca.if_else(ca.fabs(error) < np.inf, velocity, np.nan)
         position = clipped(now + velocity * dt, ca.fmin(lower, now), ca.fmax(upper, now))
         velocity = (position - now) / dt
@@ -107,10 +85,8 @@ class Limiter:
 
 
 def _braking_speed(distance: Expression, brake: Expression, half_step: Expression) -> Expression:
-    """Greatest speed from which steps of equal deceleration cover no more than a distance.
+    """Return the largest velocity from which discrete braking covers at most a distance.
 
-    ``half_step`` is half of what one step brakes, a·Δt/2.
-
-    v·(v + a·Δt) / (2a) = d, solved for v: the sum of v·Δt, (v − a·Δt)·Δt, … down to rest.
+    Solves v·(v + a·Δt) / (2a) = d, the sum of v·Δt, (v − a·Δt)·Δt, … down to rest; ``half_step`` is a·Δt/2.
     """
     return ca.sqrt(half_step * half_step + 2.0 * brake * distance) - half_step

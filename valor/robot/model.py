@@ -1,13 +1,8 @@
-"""MuJoCo models of a robot: ``model.xml`` with the numbers of ``robot.yaml`` written into it.
-
-``robot_spec`` is what every model begins with. ``controller_model`` and ``full_model`` are compiled from it here; the
-simulated plant, with a world and errors of its own, is built in ``valor.simulation``, so that the two can
-differ. A ``Model`` knows where each joint's numbers stand in MuJoCo's vectors.
-"""
+"""MuJoCo models of a robot for controllers: ``model.xml`` with the values of ``robot.yaml``."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -19,8 +14,8 @@ from valor.common.arrays import FloatArray
 from valor.common.document import Document
 from valor.common.errors import SeveralFaultsError
 from valor.robot import arm_calibration
+from valor.robot.checks.model_file import compile_fault, coupled, model_faults, require_finite
 from valor.robot.description import RobotDescription
-from valor.robot.model_faults import compile_fault, coupled, model_faults
 from valor.robot.tables import WHOLE_BODY_GROUPS
 
 Indices = slice | npt.NDArray[np.intp]
@@ -28,17 +23,11 @@ Shapes = Literal["none", "collision", "all"]
 
 
 class Model:
-    """A compiled model and the addresses of the robot's joints in it.
+    """Compiled model and the addresses of the robot's joints in it.
 
-    Every ``Indices`` is a slice where the numbers are contiguous, so that indexing gives a view and costs nothing.
-
-    Attributes:
-        robot: the robot's description.
-        mj: the MuJoCo model. The first joint is the floating base.
-        joints: names of the actuated joints in this model, k of them, in the order of ``robot.joints``.
-        joint_indices: their places in every joint vector of the robot.
-        qpos: their places in ``qpos``.
-        dof: their places in ``qvel``, ``qacc`` and every other vector over degrees of freedom.
+    ``Indices`` are slices where the addresses are contiguous, so that indexing returns a view. The first joint of
+    ``mj`` is the floating base. ``joints`` are the k actuated joints of this model, in the order of ``robot.joints``;
+    ``joint_indices`` are theirs in the robot's joint vectors, ``qpos`` and ``dof`` their addresses in the model's.
     """
 
     def __init__(self, robot: RobotDescription, mj: mujoco.MjModel) -> None:
@@ -53,11 +42,11 @@ class Model:
         self._resting = [(int(mj.joint(name).qposadr[0]), each.at) for name, each in passive if name in present]
 
     def body(self, name: str) -> int:
-        """A body's id."""
+        """Return the id of a body."""
         return int(self.mj.body(name).id)
 
     def joints_above(self, body: int) -> list[str]:
-        """The joints between the world and a body, from the body upwards."""
+        """Return the joints from a body to the world, in that order."""
         names = list[str]()
         while body:
             first = int(self.mj.body_jntadr[body])
@@ -66,16 +55,16 @@ class Model:
         return names
 
     def shape(self, body: str) -> int:
-        """Id of the largest geom of a body that has any."""
+        """Return the id of the largest geom of a body; the body must have one."""
         geoms = np.flatnonzero(self.mj.geom_bodyid == self.body(body))
         return int(geoms[np.argmax(self.mj.geom_rbound[geoms])])
 
     def site(self, name: str) -> int:
-        """A site's id."""
+        """Return the id of a site."""
         return int(self.mj.site(name).id)
 
     def nominal_qpos(self) -> FloatArray:
-        """(nq,) the nominal posture, upright, the soles on the plane z = 0."""
+        """Return ``qpos`` (nq,) of the upright nominal posture, with the soles on the plane z = 0."""
         qpos: FloatArray = self.mj.qpos0.copy()
         qpos[:7] = (0.0, 0.0, self.robot.tables.nominal_base_height, 1.0, 0.0, 0.0, 0.0)
         qpos[self.qpos] = self.robot.nominal_posture[self.joint_indices]
@@ -85,17 +74,13 @@ class Model:
 
 
 def robot_spec(robot: RobotDescription, shapes: Shapes, *, passive: bool = False) -> mujoco.MjSpec:
-    """The robot alone, not compiled, with its limits, armature and damping as ``robot.yaml`` says.
+    """Return the uncompiled robot with limits, armature and damping of ``robot.yaml``.
 
-    Args:
-        robot: the robot's description.
-        shapes: which geoms to keep: those that collide, also those that are only seen, or none.
-        passive: whether joints that nothing drives move, where robot.yaml has them simulated; else they are fixed.
-
-    Raises:
-        ConfigurationError: ``model.xml`` cannot be read, or its joints are not those of ``robot.yaml``.
+    Keeps no geoms, the colliding ones, or all. ``passive``: passive joints move if robot.yaml simulates them. Raises
+    ConfigurationError: ``model.xml`` is invalid, or its joints differ from those of ``robot.yaml``.
     """
     file = robot.model_file
+    require_finite(robot)
     try:
         spec = mujoco.MjSpec.from_file(str(file))
     except ValueError as error:
@@ -114,7 +99,7 @@ def robot_spec(robot: RobotDescription, shapes: Shapes, *, passive: bool = False
         if shapes == "none" or (shapes == "collision" and not (geom.contype or geom.conaffinity)):
             spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
-    for mesh in list(spec.meshes):  # reading those of no shape would take seconds
+    for mesh in list(spec.meshes):  # reading unused meshes would take seconds
         if (mesh.name or Path(mesh.file).stem) not in used:
             spec.delete(mesh)
     spec.option.timestep = robot.tables.physics_step
@@ -122,12 +107,9 @@ def robot_spec(robot: RobotDescription, shapes: Shapes, *, passive: bool = False
 
 
 def controller_model(robot: RobotDescription) -> Model:
-    """What the Whole-Body Controller computes with: the joints outside its groups welded, arms weighing as calibrated.
+    """Return the Whole-Body Controller's model: other joints welded, arms with calibrated masses.
 
-    Only what is kept apart (``self_collision``) has shapes.
-
-    Raises:
-        ConfigurationError: as of ``robot_spec``, or the calibration does not fit the robot.
+    Only bodies of ``self_collision`` have geoms. Raises ConfigurationError also if the calibration does not fit.
     """
     spec = robot_spec(robot, "collision")
     _weigh(spec, robot)
@@ -143,15 +125,23 @@ def controller_model(robot: RobotDescription) -> Model:
 
 
 def full_model(robot: RobotDescription, shapes: Shapes = "none") -> Model:
-    """The nominal model with every joint, for kinematics, tf and pictures."""
+    """Return the nominal model with every joint, for kinematics, tf and pictures."""
     return Model(robot, compiled(robot, robot_spec(robot, shapes)))
 
 
 def compiled(robot: RobotDescription, spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a spec; raise its errors as ``ConfigurationError``."""
     try:
         return spec.compile()
     except ValueError as error:
         raise compile_fault(robot, str(error)) from None
+
+
+def matrix(quaternion: Sequence[float] | FloatArray) -> FloatArray:
+    """Return the rotation matrix (3, 3) of a quaternion (w, x, y, z)."""
+    out = np.empty(9)
+    mujoco.mju_quat2Mat(out, np.asarray(quaternion, dtype=float))
+    return out.reshape(3, 3)
 
 
 def _weigh(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
@@ -169,7 +159,7 @@ def _weigh(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
 
 
 def _fix_passive(spec: mujoco.MjSpec, robot: RobotDescription, fixed: set[str]) -> None:
-    """Weld joints that nothing drives where they rest, and take away what coupled them."""
+    """Weld passive joints at their rest position and remove their couplings."""
     if not fixed:
         return
     for equality in list(spec.equalities):
@@ -181,12 +171,12 @@ def _fix_passive(spec: mujoco.MjSpec, robot: RobotDescription, fixed: set[str]) 
 
 
 def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
-    """Take a hinge away, leaving its body turned by ``angle`` [rad] about it."""
+    """Remove a hinge, leaving its body rotated by ``angle`` [rad]."""
     body = joint.parent
     turn, orientation = np.zeros(4), np.zeros(4)
     mujoco.mju_axisAngle2Quat(turn, joint.axis / np.linalg.norm(joint.axis), angle)
     mujoco.mju_mulQuat(orientation, body.quat, turn)
-    # The hinge's anchor stays where it is: p + R·a = p' + R·Rot(angle)·a.
+    # The hinge's anchor keeps its position: p + R·a = p' + R·Rot(angle)·a.
     before, after = np.zeros(3), np.zeros(3)
     mujoco.mju_rotVecQuat(before, joint.pos, body.quat)
     mujoco.mju_rotVecQuat(after, joint.pos, orientation)
@@ -195,8 +185,8 @@ def _weld(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle: float) -> None:
     spec.delete(joint)
 
 
-def _indices(places: Iterable[int]) -> Indices:
-    indices = np.fromiter(places, dtype=np.intp)
+def _indices(values: Iterable[int]) -> Indices:
+    indices = np.fromiter(values, dtype=np.intp)
     if indices.size and np.array_equal(indices, np.arange(indices[0], indices[0] + indices.size)):
         return slice(int(indices[0]), int(indices[-1]) + 1)
     return indices

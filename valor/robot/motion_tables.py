@@ -1,7 +1,4 @@
-"""What a robot may be asked to do, as the tables of robot.yaml say: footsteps, walking, pelvis, distances to itself.
-
-What a controller wants tuned, and reads alone, stands beside it (``valor.whole_body.tuning_tables``).
-"""
+"""Tables of robot.yaml for motion; those that only controllers read are in ``valor.whole_body.tuning_tables``."""
 
 from __future__ import annotations
 
@@ -14,22 +11,21 @@ from valor.robot.size import Force, Length, Rate, Sole, Speed, SquaredRate, Time
 
 
 class Footsteps(Table):
-    """Which steps a plan may hold. Displacements are of a sole seen from the other foot's, heading only.
+    """Limits of steps. Displacements are of a sole relative to the other sole, in its heading.
 
-    ESCHER's lengths and heights are those of a public controller for it; the smallest width keeps the soles apart.
-    Steps that keep the balance reach as far; those of a plan no farther than ``max_distance``, beyond which they come
-    down beside their place.
+    ESCHER's lengths and heights are those of a public controller for it; the least width keeps the soles apart.
+    Balance steps use the same limits without ``max_distance``; plan steps beyond it miss their footholds.
     """
 
-    max_steps: Annotated[int, Meta(ge=1)] = 50  # of a plan
+    max_steps: Annotated[int, Meta(ge=1)] = 50  # per plan
     max_forward: Length[Positive] = 0.6  # [m]
     max_backward: Length[Positive] = 0.3  # [m]
     min_width: Sole[Positive] = 0.15  # lateral distance of the soles' origins [m]
     max_width: Length[Positive] = 0.6  # [m]
-    max_distance: Length[Positive] = 0.4  # of the soles' origins, seen from above: a long step is not a wide one [m]
+    max_distance: Length[Positive] = 0.4  # horizontal distance of the soles' origins [m]
     max_up: Length[Positive] = 0.25  # [m]
     max_down: Length[Positive] = 0.2  # [m]
-    max_yaw: Positive = 0.6  # either way [rad]
+    max_yaw: Positive = 0.6  # in both directions [rad]
     max_tilt: Positive = 0.35  # of the sole from level [rad]
     max_swing_height: Length[Positive] = 0.2  # [m]
     min_swing_duration: Time[Positive] = 0.4  # [s]
@@ -43,18 +39,18 @@ class Footsteps(Table):
 
 
 class Walking(Table):
-    """How the robot steps: what a plan leaves to the robot, and how it walks by velocity."""
+    """Defaults of footstep plans, and walking by velocity."""
 
-    swing_duration: Time[Positive] = 0.6  # at little speed, and of plans that do not say [s]
-    transfer_duration: Time[Positive] = 0.2  # likewise, of weight from foot to foot [s]
-    fast_swing_duration: Time[Positive] = 0.42  # at full speed and beyond [s]
+    swing_duration: Time[Positive] = 0.6  # at low speed, and the default of plans [s]
+    transfer_duration: Time[Positive] = 0.2  # likewise, of the double support [s]
+    fast_swing_duration: Time[Positive] = 0.42  # at full speed and above [s]
     fast_transfer_duration: Time[Positive] = 0.06  # [s]
-    full_speed: Speed[Positive] = 0.7  # the durations go linearly from zero to here [m/s]
+    full_speed: Speed[Positive] = 0.7  # durations are linear in the speed up to here [m/s]
     first_transfer_duration: Time[Positive] = 1.0  # from rest [s]
     last_transfer_duration: Time[Positive] = 1.0  # to rest [s]
-    swing_height: Length[Positive] = 0.06  # of the apex above lift-off and touch-down, by velocity [m]
-    plan_swing_height: Length[Positive] = 0.08  # likewise, of plans that do not say: they may be 4 cm wrong [m]
-    touchdown_depth: Length[NonNegative] = 0.025  # below the foothold, that a foot is led to: holes are met in time [m]
+    swing_height: Length[Positive] = 0.06  # apex above lift-off and touch-down, walking by velocity [m]
+    plan_swing_height: Length[Positive] = 0.08  # likewise, default of plans, whose heights may be 4 cm wrong [m]
+    touchdown_depth: Length[NonNegative] = 0.025  # target below the foothold, so that holes are reached in time [m]
     touchdown_force: Force[Positive] = 30.0  # vertical, at which a swinging foot has touched down [N]
     earliest_touchdown: Positive = 0.6  # of the swing's duration
     descent: Speed[Positive] = 0.2  # of a foot as it comes down [m/s]
@@ -65,19 +61,19 @@ class Walking(Table):
     foot_stiffness: SquaredRate[Positive] = 300.0  # [1/s²]
     foot_damping: Rate[Positive] = 34.0  # [1/s]
     step_width: Length[Positive] = 0.2  # between the soles' origins, walking by velocity [m]
-    hip_height: Length[Positive] = 0.725  # above the ankle in the nominal posture [m]
-    leg_reach: Length[Positive] = 0.77  # hip to ankle, that long steps stretch a leg to; beyond, the CoM is lowered [m]
+    hip_height: Length[Positive] = 0.725  # of the hip above the ankle in the nominal posture [m]
+    leg_reach: Length[Positive] = 0.77  # largest hip–ankle distance in long steps; above it the CoM is lowered [m]
     max_forward_speed: Speed[Positive] = 1.2  # [m/s]
     max_backward_speed: Speed[Positive] = 0.3  # [m/s]
     max_lateral_speed: Speed[Positive] = 0.125  # [m/s]
     max_turn_rate: Rate[Positive] = 0.4  # [rad/s]
-    speed_change: Speed[Positive] = 0.12  # from one step to the next, at most [m/s]
+    speed_change: Speed[Positive] = 0.12  # largest change from step to step [m/s]
     turn_change: Rate[Positive] = 0.2  # [rad/s]
-    command_timeout: Positive = 0.5  # without a velocity for so long, the robot stops [s]
+    command_timeout: Positive = 0.5  # the robot stops after this time without a velocity command [s]
 
 
 class PelvisMotion(Table):
-    """How far and how fast the standing robot's pelvis may be led from its nominal place over the feet."""
+    """Limits of pelvis motion while standing, relative to the nominal pose over the feet."""
 
     max_shift: Length[NonNegative] = 0.05  # forward, backward and to each side [m]
     max_up: Length[NonNegative] = 0.03  # above nominal_base_height [m]
@@ -89,17 +85,17 @@ class PelvisMotion(Table):
     max_acceleration: Positive = 0.5  # [m/s²]
     max_turn_rate: Rate[Positive] = 0.4  # [rad/s]
     max_turn_acceleration: SquaredRate[Positive] = 1.5  # [rad/s²]
-    com_margin: Sole[Positive] = 0.05  # the CoM's reference stays so far inside both soles' edges [m]
+    com_margin: Sole[Positive] = 0.05  # least distance of the CoM reference inside the edges of both soles [m]
 
 
 class SelfCollision(Table):
-    """Which parts of the robot are kept apart, and how. Shapes are the largest that collide, of each body."""
+    """Self-collision avoidance between pairs of bodies, each by its largest colliding geom."""
 
-    pairs: list[tuple[str, str]] = []  # of bodies
-    distance: Length[NonNegative] = 0.02  # kept [m]
-    near: Length[Annotated[float, Meta(gt=0, lt=0.5)]] = 0.045  # from where on a pair is looked after [m]
-    approach: Rate[Positive] = 10.0  # velocity allowed per distance left [1/s]
-    response: Rate[Positive] = 50.0  # deceleration per velocity above what is allowed [1/s]
+    pairs: list[tuple[str, str]] = []  # body names
+    distance: Length[NonNegative] = 0.02  # least distance [m]
+    near: Length[Annotated[float, Meta(gt=0, lt=0.5)]] = 0.045  # distance below which a pair is constrained [m]
+    approach: Rate[Positive] = 10.0  # allowed velocity per remaining distance [1/s]
+    response: Rate[Positive] = 50.0  # deceleration per excess velocity [1/s]
 
     def __post_init__(self) -> None:
         require_order(self, "distance", "near")

@@ -1,4 +1,4 @@
-"""A move of joints from where they are to a posture: minimum jerk, all arriving together, at limited speed."""
+"""Minimum-jerk motion of joints to a posture: simultaneous arrival, limited velocity and acceleration."""
 
 from __future__ import annotations
 
@@ -12,12 +12,7 @@ _PEAK_ACCELERATION = 10.0 / 3.0**0.5
 
 
 class PostureMove:
-    """Joints on their way to a posture.
-
-    Attributes:
-        goal: (n,) [rad].
-        duration: [s].
-    """
+    """Motion of joints to a posture, ``goal`` (n,) [rad], in ``duration`` [s]."""
 
     def __init__(
         self,
@@ -29,15 +24,9 @@ class PostureMove:
         began: float,
         shortest: float,
     ) -> None:
-        """Plan the move.
+        """Plan the motion from rest at ``start`` (n,) [rad] at the robot time ``began`` [s].
 
-        Args:
-            start: (n,) where the joints are, at rest [rad].
-            goal: (n,) [rad].
-            velocity: (n,) greatest speed [rad/s].
-            acceleration: (n,) greatest acceleration [rad/s²].
-            began: robot time of the start [s].
-            shortest: the least duration, above 0 [s].
+        Limits are ``velocity`` (n,) [rad/s] and ``acceleration`` (n,) [rad/s²]; the least duration is ``shortest`` [s].
         """
         self._start, self.goal, self._began = start.copy(), goal.copy(), began
         self._way: FloatArray = self.goal - self._start
@@ -49,24 +38,24 @@ class PostureMove:
         )
 
     def progress(self, now: float) -> float:
-        """Time passed as a part of the duration, 0 to 1."""
+        """Return elapsed time relative to the duration, 0 to 1."""
         return min(1.0, max(0.0, (now - self._began) / self.duration))
 
     def remaining(self, now: float) -> float:
-        """[s]."""
+        """Return the remaining time [s]."""
         return self.duration * (1.0 - self.progress(now))
 
     def since_arrival(self, now: float) -> float:
-        """[s]; negative before."""
+        """Return the time since arrival [s]; negative before."""
         return now - self._began - self.duration
 
     def gone(self, now: float) -> float:
-        """Part of the way gone, 0 to 1."""
+        """Return the completed share of the path, 0 to 1."""
         tau = self.progress(now)
         return tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
 
     def at(self, now: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position [rad], velocity [rad/s] and acceleration [rad/s²], (n,) each."""
+        """Return position [rad], velocity [rad/s] and acceleration [rad/s²], (n,) each."""
         tau = self.progress(now)
         rate = 30.0 * tau**2 * (1.0 - tau) ** 2 / self.duration
         change = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / self.duration**2

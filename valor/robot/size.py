@@ -1,8 +1,7 @@
-"""How large a robot is, and what it gets for what its robot.yaml does not say.
+"""Size of a robot, and the scaling of defaults in its robot.yaml, which are ESCHER's.
 
-Defaults are ESCHER's. A field whose default depends on the robot's size says its dimension; a robot of another size
-gets ESCHER's value times the dimension's factor. With legs λ times as long it falls as ESCHER does, √λ times as slowly:
-the factors are those that keep Froude's number v²/(g·l). Forces go by the mass, margins at a sole's edge by the sole.
+A scaled field declares its dimension. The factors keep the Froude number v²/(g·l); with legs λ times as long times
+scale by √λ. Forces scale by mass, margins at a sole's edge by the sole's width.
 """
 
 from __future__ import annotations
@@ -18,20 +17,20 @@ from valor.common.table import Table
 
 
 class Size(Table):
-    """Of a robot, as far as defaults depend on it."""
+    """Size of a robot, as far as defaults depend on it."""
 
-    leg: Annotated[float, Meta(gt=0, le=3, extra={"unit": "m"})]  # straight, from hip to ankle [m]
+    leg: Annotated[float, Meta(gt=0, le=3, extra={"unit": "m"})]  # length of the straight leg from hip to ankle [m]
     mass: Annotated[float, Meta(gt=0, le=1000, extra={"unit": "kg"})]  # [kg]
 
 
 ESCHER = Size(leg=0.82, mass=75.9)
 ESCHER_HALF_WIDTH = 0.07425  # of its soles [m]
-NARROW = 0.5  # of a sole as wide as ESCHER's, by the leg: a narrower one rocks on uneven ground more than it holds
+NARROW = 0.5  # relative to ESCHER's sole, per leg length: narrower soles rock on uneven ground
 
 N = TypeVar("N", bound=float)
 Length = Annotated[N, Meta(extra={"dimension": "length", "unit": "m"})]
 Sole = Annotated[N, Meta(extra={"dimension": "sole", "unit": "m"})]
-"""A length that goes by the sole's width."""
+"""Length that scales with the sole's width."""
 Time = Annotated[N, Meta(extra={"dimension": "time", "unit": "s"})]
 Speed = Annotated[N, Meta(extra={"dimension": "speed", "unit": "m/s"})]
 Rate = Annotated[N, Meta(extra={"dimension": "rate"})]
@@ -44,12 +43,7 @@ Force = Annotated[N, Meta(extra={"dimension": "force", "unit": "N"})]
 
 
 def factors(size: Size, half_width: float) -> dict[str, float]:
-    """Dimension → what ESCHER's values are multiplied by; all of them 1 for ESCHER.
-
-    Args:
-        size: of the robot.
-        half_width: of its narrower sole [m].
-    """
+    """Return dimension → factor of ESCHER's values, from the size and the narrower sole's half width [m]."""
     length = size.leg / ESCHER.leg
     time = float(length**0.5)
     return {
@@ -65,23 +59,12 @@ def factors(size: Size, half_width: float) -> dict[str, float]:
 
 
 def narrowness(leg: float, half_width: float) -> float:
-    """1 of soles as wide for the robot's legs as ``NARROW`` says, or wider; less of narrower ones.
-
-    Args:
-        leg: as of ``Size`` [m].
-        half_width: of its narrower sole [m].
-    """
+    """Return 1 for soles at least as wide as ``NARROW`` for the leg length [m], less for narrower ones."""
     return min(1.0, half_width / leg / (NARROW * ESCHER_HALF_WIDTH / ESCHER.leg))
 
 
 def completed(kind: type[Table], content: object, factor: Mapping[str, float]) -> Any:
-    """What ``checked`` makes a table of, with the defaults of a size; what it would not take stays as it is.
-
-    Args:
-        kind: of the table.
-        content: plain values.
-        factor: by dimension.
-    """
+    """Add the defaults, scaled by the factors, to the plain content of a table; invalid content stays as it is."""
     return _completed(_type(kind), content, factor)
 
 
@@ -108,6 +91,5 @@ def _completed(kind: msgspec.inspect.StructType, content: object, factor: Mappin
 
 
 def _table(kind: msgspec.inspect.Type) -> msgspec.inspect.StructType | None:
-    """The one that may stand there."""
     kinds = kind.types if isinstance(kind, msgspec.inspect.UnionType) else (kind,)
     return next((each for each in kinds if isinstance(each, msgspec.inspect.StructType)), None)

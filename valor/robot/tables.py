@@ -1,4 +1,4 @@
-"""The tables of robot.yaml: what a robot consists of. What it may be asked to do stands in ``motion_tables.py``."""
+"""Tables of robot.yaml: the parts of a robot. ``motion_tables.py`` has the limits of its motion."""
 
 from __future__ import annotations
 
@@ -14,31 +14,32 @@ from valor.robot.motion_tables import Footsteps, PelvisMotion, SelfCollision, Wa
 from valor.robot.size import Force, Size
 
 WHOLE_BODY_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm")
-"""The groups whose joints the Whole-Body Controller moves; it sees the others welded."""
+"""Groups whose joints the Whole-Body Controller moves; the others are welded in its model."""
 
 Turn = Annotated[float, Meta(ge=-13, le=13)]
-"""Two turns either way [rad]: more is in degrees."""
+"""Angle of at most two turns [rad]; a larger value is probably in degrees."""
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Side = Literal["left", "right"]
+SIDES = ("left", "right")
 Lag = Annotated[float, Meta(ge=0, le=0.1)]  # [s]
 
 
 class Servo(Table):
-    """Gains of a joint's own position servo."""
+    """Gains of a joint's position servo."""
 
     stiffness: NonNegative  # [N·m/rad]
     damping: NonNegative  # [N·m·s/rad]
 
 
 class Joint(Table, kw_only=True):
-    """One actuated joint. ``lower`` and ``upper`` are absent where it turns without end."""
+    """Actuated joint. A continuous joint has neither ``lower`` nor ``upper``."""
 
     lower: Turn | None = None  # [rad]
     upper: Turn | None = None  # [rad]
     velocity: Annotated[float, Meta(gt=0, le=100)]  # limit [rad/s]
     effort: Annotated[float, Meta(gt=0, le=5000)]  # limit [N·m]
-    control: Literal["force", "impedance", "position"]  # how the Motion Manager drives it in operation
-    servo: Servo  # used in Idle, Stand Prep, Freeze, and in operation where control is not force
+    control: Literal["force", "impedance", "position"]  # mode of the Motion Manager in operation
+    servo: Servo  # used in Idle, Stand Prep, Freeze, and in operation unless control is force
     armature: NonNegative = 0.0  # rotor inertia seen at the joint [kg·m²]
     damping: NonNegative = 0.0  # viscous [N·m·s/rad]
 
@@ -50,14 +51,14 @@ class Joint(Table, kw_only=True):
 
 
 class Passive(Table):
-    """A hinge that nothing drives; its range, spring, damping and what couples it stand in model.xml."""
+    """Hinge without a drive; model.xml has its range, spring, damping and couplings."""
 
-    at: Turn = 0.0  # where it rests in the nominal posture, and where controllers take it for fixed [rad]
-    simulated: bool = True  # whether it moves in simulation; if not, it is welded there, too
+    at: Turn = 0.0  # rest position in the nominal posture; fixed there in the controllers' model [rad]
+    simulated: bool = True  # whether it moves in simulation; welded otherwise
 
 
 class Foot(Table):
-    """A foot: its body, and the site at the sole's origin (x forward, z up, on the contact surface)."""
+    """Foot: its body, and the site at the sole's origin (x forward, z up, on the contact surface)."""
 
     body: str
     sole: str
@@ -70,7 +71,7 @@ class Foot(Table):
 
 
 class Hand(Table):
-    """A hand: its body, and the site that hand poses and wrenches refer to."""
+    """Hand: its body, and the site that hand poses and wrenches refer to."""
 
     body: str
     site: str
@@ -84,20 +85,20 @@ class Feet(Table):
 
 
 class Hands(Table):
-    """The hands that a robot has."""
+    """Hands of the robot."""
 
     left: Hand | None = None
     right: Hand | None = None
-    contact_on: Force[Positive] = 15.0  # force from which a hand counts as touching something [N]
-    contact_off: Force[Positive] = 8.0  # until here
-    most_pressing: Force[Positive] = 60.0  # with which a hand goal may press on something; beyond, it is let go [N]
+    contact_on: Force[Positive] = 15.0  # contact force above which a hand is in contact [N]
+    contact_off: Force[Positive] = 8.0  # contact force below which contact ends [N]
+    most_pressing: Force[Positive] = 60.0  # largest contact force of a hand goal; above it the goal is released [N]
 
     def __post_init__(self) -> None:
         require_order(self, "contact_off", "contact_on")
         require_order(self, "contact_on", "most_pressing")
 
     def present(self) -> Iterator[tuple[Side, Hand]]:
-        """Side and table of each, left first."""
+        """Yield side and table of each hand, left first."""
         if self.left is not None:
             yield "left", self.left
         if self.right is not None:
@@ -105,109 +106,108 @@ class Hands(Table):
 
 
 class Imu(Table):
-    """Where the pelvis IMU sits."""
+    """Pelvis IMU."""
 
     site: str
 
 
 class SensorNoise(Table):
-    """Standard deviations of white noise, and constant biases, of the simulated devices."""
+    """Standard deviations of white noise, and constant biases, of simulated devices."""
 
-    joint_position: NonNegative = 0.0  # [rad]
-    joint_position_resolution: NonNegative = 0.0  # encoder quantum [rad]
-    joint_velocity: NonNegative = 0.0  # [rad/s]
+    joint_position: Annotated[float, Meta(ge=0, le=0.05)] = 0.0  # [rad]
+    joint_position_resolution: Annotated[float, Meta(ge=0, le=0.05)] = 0.0  # encoder quantum [rad]
+    joint_velocity: Annotated[float, Meta(ge=0, le=5)] = 0.0  # [rad/s]
     joint_effort: NonNegative = 0.0  # [N·m]
-    orientation: NonNegative = 0.0  # IMU attitude, white [rad]
-    orientation_bias: NonNegative = 0.0  # roll and pitch, constant, drawn once from the seed [rad]
-    gyroscope: NonNegative = 0.0  # [rad/s]
-    accelerometer: NonNegative = 0.0  # [m/s²]
+    orientation: Annotated[float, Meta(ge=0, le=0.1)] = 0.0  # IMU attitude [rad]
+    orientation_bias: Annotated[float, Meta(ge=0, le=0.1)] = 0.0  # constant, roll and pitch, drawn from the seed [rad]
+    gyroscope: Annotated[float, Meta(ge=0, le=1)] = 0.0  # [rad/s]
+    accelerometer: Annotated[float, Meta(ge=0, le=10)] = 0.0  # [m/s²]
     force: NonNegative = 0.0  # [N]
     torque: NonNegative = 0.0  # [N·m]
 
 
 class Gear(Table):
-    """A joint's motor and gear, where they are not as the profile says of all joints."""
+    """Motor and gear of a joint that differs from the profile's defaults."""
 
-    friction: NonNegative | None = None  # Coulomb, at the joint [N·m]; absent: the profile's
-    backlash: NonNegative | None = None  # peak to peak [rad]; absent: the profile's
-    feed_forward: bool = True  # whether the device takes Motor's effort; if not, nothing carries the links' weight
+    friction: NonNegative | None = None  # Coulomb, at the joint [N·m]; default: the profile's
+    backlash: NonNegative | None = None  # peak to peak [rad]; default: the profile's
+    feed_forward: bool = True  # whether the device applies Motor's effort; without, gravity is not compensated
     strength: Annotated[float, Meta(ge=0, le=1)] = 1.0  # share of the motor's torque that reaches the joint
 
 
 class ActuatorProfile(Table):
-    """How far the simulated plant is from the controller's model."""
+    """Differences of the simulated plant from the controller's model."""
 
-    mass_error: Share = 0.0  # each body's mass and inertia times 1 ± this, drawn uniformly from the seed
+    mass_error: Share = 0.0  # relative error of each body's mass and inertia, uniform, drawn from the seed
     friction: NonNegative = 0.0  # Coulomb friction of every joint [N·m], at most friction_share of its effort limit
-    friction_share: Share = 0.02  # so that fingers and neck are not stuck in a leg's friction
+    friction_share: Share = 0.02  # of the effort limit: keeps fingers and neck movable
     torque_lag: Lag = 0.0  # time constant of the torque's first-order lag [s]
     delay: Lag = 0.0  # of commands [s]
     backlash: NonNegative = 0.0  # of position-controlled and impedance-controlled joints, peak to peak [rad]
-    gears: dict[str, Gear] = {}  # of joints and groups; a joint's own goes first
+    gears: dict[str, Gear] = {}  # by joint or group; a joint's entry has precedence
     noise: SensorNoise = SensorNoise()
 
 
 ControlRate = Annotated[float, Meta(ge=100, le=1000, extra={"unit": "Hz"})]
-"""[Hz]. Undisturbed and without delays ESCHER still stands at 25 Hz, and falls at 10: this leaves room for both."""
+"""Control rate [Hz]. Undisturbed and without delays ESCHER stands at 25 Hz and falls at 10 Hz."""
 
 Presets = dict[str, dict[Side, dict[str, float]]]
 """Name of a posture → side → joint → position."""
 
 
 Section = dict[str, Any]
-"""A table that its reader has beside itself, and checks: see ``RobotDescription.read``."""
+"""Table that its reader defines and checks; see ``RobotDescription.read``."""
 
 
 class RobotTables(Table, kw_only=True):
-    """robot.yaml as a whole; what must hold between its tables stands in ``rules.py``."""
+    """Content of robot.yaml; ``checks/tables.py`` has the consistency checks."""
 
     name: str
     model: str  # MJCF file in the robot's folder
     control_rate: ControlRate  # [Hz]
-    physics_step: Annotated[
-        float, Meta(ge=1e-4, le=0.005, extra={"unit": "s"})
-    ]  # of the simulation; contacts bear no longer one [s]
-    size: Size  # what the defaults of what follows go by
-    base: str  # the floating body, the pelvis
-    chest: str  # the body that pushes act on and whose orientation is held
+    # Of the simulation [s]; contacts become unstable above.
+    physics_step: Annotated[float, Meta(ge=1e-4, le=0.005, extra={"unit": "s"})]
+    size: Size  # scales the defaults below
+    base: str  # floating body, the pelvis
+    chest: str  # body that pushes act on and whose orientation is controlled
     head: str | None = None
     imu: Imu
     feet: Feet
     hands: Hands = Hands()
-    joints: dict[str, Joint]  # the order is that of every joint vector
-    passive: dict[str, Passive] = {}  # all other hinges of the model
-    groups: dict[str, list[str]]  # left_leg, right_leg; torso, left_arm, … where there are any
-    nominal_posture: dict[str, float]  # [rad]; joints not named: 0
+    joints: dict[str, Joint]  # in the order of every joint vector
+    passive: dict[str, Passive] = {}  # other hinges of the model
+    groups: dict[str, list[str]]  # left_leg, right_leg; torso, left_arm, … if present
+    nominal_posture: dict[str, float]  # [rad]; default 0
     nominal_base_height: Positive  # of the base's origin above the soles in the nominal posture [m]
     arm_presets: Presets = {}  # [rad]
     hand_presets: Presets = {}  # [rad]
     actuators: dict[str, ActuatorProfile]  # profiles: ideal, hardware
     fall: Section = {}
-    footsteps: Footsteps | None = None  # absent: the robot takes no footstep plans; {}: those of a robot of its size
+    footsteps: Footsteps | None = None  # absent: no footstep plans; {}: defaults of its size
     whole_body: Section = {}
     walking: Walking = Walking()
     pelvis: PelvisMotion = PelvisMotion()
     disturbance: Section = {}
     gains: Section = {}
     arm_servos: Section = {}
-    weight_factor: Annotated[float, Meta(ge=1)] = 4.0  # by which a task's weight may be changed, up or down
+    weight_factor: Annotated[float, Meta(ge=1)] = 4.0  # largest factor of a task's weight, up or down
     hand_goals: Section = {}
     self_collision: SelfCollision = SelfCollision()
     estimator: Section = {}
     link_frames: dict[str, str] = {}  # ROS frame (REP-120) → body or site of the model
-    devices: dict[str, DeviceTable] = {}  # on hardware, by name, in the order in which they are found and enabled
+    devices: dict[str, DeviceTable] = {}  # on hardware, by name, in the order of start-up
     calibration: Calibration = Calibration()
     supply: SupplyLimits = SupplyLimits()
 
     def group(self, name: str) -> list[str]:
-        """A group's joints, in its order; none where the robot has no such limb."""
+        """Return a group's joints in order; empty if the robot lacks the limb."""
         return self.groups.get(name, [])
 
     def device_joints(self, name: str) -> list[str]:
-        """The joints that a device moves, in its units' order."""
+        """Return the joints that a device drives, in the order of its units."""
         device = self.devices[name]
         return [*device.joints, *(joint for group in device.groups for joint in self.groups[group])]
 
     def device_carries(self, name: str) -> bool:
-        """Whether a device carries the robot: it moves joints that are driven by force."""
+        """Return whether a device carries the robot, i.e. drives force-controlled joints."""
         return any(self.joints[joint].control == "force" for joint in self.device_joints(name))

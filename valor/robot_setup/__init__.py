@@ -1,5 +1,5 @@
-"""A robot's folder out of its model: what topology, geometry and symmetry tell is found, and marked as a guess.
+"""Creation of a robot's folder from its model; values that the model does not state are guessed and marked so.
 
-``source`` reads MJCF or URDF; ``skeleton`` says which links and joints are legs, arms, neck; ``geometry`` and
-``drives`` measure it; ``posture`` has it stand; ``model_xml`` and ``robot_yaml`` write the folder.
+``source`` reads MJCF or URDF; ``skeleton`` identifies legs, arms and neck; ``geometry`` and ``drives`` measure;
+``posture`` solves the nominal posture; ``model_xml`` and ``robot_yaml`` write the folder; ``new`` runs them in order.
 """

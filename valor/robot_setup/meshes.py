@@ -1,73 +1,109 @@
-"""What one sees of a robot: its meshes, made coarser until they are no burden, as STL."""
+"""Triangle meshes: COLLADA and text STL, which MuJoCo does not read, and binary STL, which it does."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
 from pathlib import Path
+from xml.etree import ElementTree
 
-import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 
-FACES = 120_000  # of a robot, at most: 6 MB
-_CELL = 0.003  # of a robot with a leg of a metre: what lies so near becomes one vertex [m]
-_COARSER = 1.5  # a cell, if there are still too many faces
-_FEW = 300  # faces that are not worth the trouble
-
 Faces = npt.NDArray[np.int32]
-Triangles = tuple[FloatArray, Faces]
+Triangles = tuple[FloatArray, Faces]  # vertices (k, 3) [m], and indices (m, 3) of them
+
+_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)")
+_PRIMITIVES = {"triangles", "polylist", "polygons"}
 
 
-def write(mj: mujoco.MjModel, names: Mapping[int, str], folder: Path, size: float) -> None:
-    """Write meshes into a folder.
+def stl(vertices: FloatArray, faces: Faces) -> bytes:
+    """Return a mesh as binary STL."""
+    triangles = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+    triangles["corners"] = vertices[faces]
+    return b"\0" * 80 + np.uint32(len(faces)).tobytes() + triangles.tobytes()
 
-    Args:
-        mj: the model.
-        names: mesh → file, without ".stl".
-        folder: made if there is something to write.
-        size: of the robot, as its leg is long [m].
+
+def converted(file: Path) -> bytes | None:
+    """Return a COLLADA file or a text STL as binary STL, empty without triangles; None for other files.
+
+    Raises ValueError: the file is malformed.
     """
-    drawn = {mesh: _triangles(mj, mesh) for mesh in names}
-    coarse, cell = drawn, _CELL * size
-    while sum(len(faces) for _, faces in coarse.values()) > FACES:
-        coarse = {mesh: coarser(*drawn[mesh], cell) for mesh in names}
-        cell *= _COARSER
-    for mesh, (vertices, faces) in coarse.items():
-        folder.mkdir(exist_ok=True)
-        triangles = np.zeros(len(faces), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
-        triangles["corners"] = vertices[faces]
-        with (folder / f"{names[mesh]}.stl").open("wb") as file:
-            file.write(b"\0" * 80 + np.uint32(len(faces)).tobytes() + triangles.tobytes())
+    if file.suffix.lower() == ".dae":
+        return _Collada(ElementTree.parse(file).getroot()).stl()
+    content = file.read_bytes() if file.suffix.lower() == ".stl" else b""
+    if not content.lstrip().startswith(b"solid") or not (corners := _VERTEX.findall(content)):
+        return None
+    vertices = np.array(corners, dtype=np.float64)
+    return stl(vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))
 
 
-def coarser(vertices: FloatArray, faces: Faces, cell: float) -> Triangles:
-    """A mesh with one vertex a cell of a grid, in the middle of those that were there, and no face twice.
+class _Collada:
+    """COLLADA 1.4 document. The up axis is not applied, as in ROS' viewers."""
 
-    Rossignac and Borrel, 1993. What would hardly be left of comes back as it is.
+    def __init__(self, root: ElementTree.Element) -> None:
+        for element in root.iter():
+            element.tag = element.tag.rpartition("}")[2]
+        unit = root.find("asset/unit")
+        self.unit = 1.0 if unit is None else float(unit.get("meter", "1"))
+        self.root = root
+        self.by_id = {f"#{element.get('id')}": element for element in root.iter() if element.get("id")}
 
-    Args:
-        vertices: (k, 3) [m].
-        faces: (m, 3) of vertices.
-        cell: of the grid [m].
-    """
-    if len(faces) <= _FEW:
-        return vertices, faces
-    _, place = np.unique(np.floor(vertices / cell).astype(np.int64), axis=0, return_inverse=True)
-    place = place.reshape(-1)
-    count = np.bincount(place)
-    middle = np.stack([np.bincount(place, vertices[:, axis]) / count for axis in range(3)], axis=1)
-    kept = place[faces]
-    kept = kept[(kept[:, 0] != kept[:, 1]) & (kept[:, 1] != kept[:, 2]) & (kept[:, 2] != kept[:, 0])]
-    if not len(kept):
-        return vertices, faces
-    _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
-    kept = kept[np.sort(first)].astype(np.int32)
-    return (middle, kept) if len(np.unique(kept)) >= 12 else (vertices, faces)
+    def stl(self) -> bytes:
+        parts = [part for scene in self.root.iter("visual_scene") for part in self.node(scene, np.eye(4))]
+        corners = np.concatenate(parts) * self.unit if parts else np.zeros((0, 3))
+        return stl(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3)) if len(corners) else b""
+
+    def node(self, node: ElementTree.Element, parent: FloatArray) -> list[FloatArray]:
+        """Return the corners of the triangles of a node and its descendants, (3 m, 3) each, in the file's unit."""
+        pose, found = parent, []
+        for child in node:
+            if child.tag in {"matrix", "translate", "rotate", "scale"}:
+                pose = pose @ _transform(child.tag, np.array((child.text or "").split(), dtype=np.float64))
+        for child in node:
+            target = self.by_id.get(child.get("url", ""))
+            if child.tag == "node":
+                found += self.node(child, pose)
+            elif child.tag == "instance_node" and target is not None:
+                found += self.node(target, pose)
+            elif child.tag == "instance_geometry" and target is not None:
+                found += [corners @ pose[:3, :3].T + pose[:3, 3] for corners in self.geometry(target)]
+        return found
+
+    def geometry(self, geometry: ElementTree.Element) -> list[FloatArray]:
+        return [
+            self.triangles(each) for each in geometry.iter() if each.tag in _PRIMITIVES and each.find("p") is not None
+        ]
+
+    def triangles(self, primitive: ElementTree.Element) -> FloatArray:
+        """Return the corners of triangles, (3 m, 3); polygons are divided into fans."""
+        inputs = {each.get("semantic"): each for each in primitive.iter("input")}
+        stride = 1 + max(int(each.get("offset", "0")) for each in inputs.values())
+        positions = self.by_id[inputs["VERTEX"].get("source", "")].find("input[@semantic='POSITION']")
+        values = None if positions is None else self.by_id[positions.get("source", "")].find("float_array")
+        points = np.array((values.text or "").split() if values is not None else [], dtype=np.float64).reshape(-1, 3)
+        lists = [np.array((p.text or "").split(), dtype=np.int64).reshape(-1, stride) for p in primitive.iter("p")]
+        lists = [each[:, int(inputs["VERTEX"].get("offset", "0"))] for each in lists]
+        if (counts := primitive.find("vcount")) is not None:
+            lists = np.split(lists[0], np.cumsum(np.array((counts.text or "").split(), dtype=np.int64))[:-1])
+        elif primitive.tag == "triangles":
+            return points[np.concatenate(lists)]
+        fans = [polygon[[0, i, i + 1]] for polygon in lists for i in range(1, len(polygon) - 1)]
+        return points[np.concatenate(fans)] if fans else np.zeros((0, 3))
 
 
-def _triangles(mj: mujoco.MjModel, mesh: int) -> Triangles:
-    vertices = mj.mesh_vert[mj.mesh_vertadr[mesh] : mj.mesh_vertadr[mesh] + mj.mesh_vertnum[mesh]]
-    faces = mj.mesh_face[mj.mesh_faceadr[mesh] : mj.mesh_faceadr[mesh] + mj.mesh_facenum[mesh]]
-    return np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+def _transform(kind: str, values: FloatArray) -> FloatArray:
+    """Return the matrix (4, 4) of a COLLADA transformation."""
+    found = np.eye(4)
+    if kind == "matrix":
+        return values.reshape(4, 4)
+    if kind == "translate":
+        found[:3, 3] = values
+    elif kind == "scale":
+        found[:3, :3] = np.diag(values)
+    else:
+        (x, y, z), angle = values[:3] / np.linalg.norm(values[:3]), np.radians(values[3])
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        found[:3, :3] += np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return found

@@ -1,29 +1,27 @@
-"""Make a robot's folder of its model."""
+"""Creation of a robot's folder from its model."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from valor.common.arrays import FloatArray
-from valor.common.errors import ConfigurationError
-from valor.robot.checks import SIDES
 from valor.robot.motion_tables import SelfCollision
 from valor.robot.size import ESCHER
-from valor.robot_setup import model_xml, robot_yaml
-from valor.robot_setup.drives import Drive, drives, inertias, tune
-from valor.robot_setup.geometry import Sole, cloud, sole
+from valor.robot.tables import SIDES
+from valor.robot_setup import model_xml
+from valor.robot_setup.drives import Drive, find_drives, inertias, set_gains
+from valor.robot_setup.geometry import ModelGeometry, Sole, fit_geometry, leg_length
 from valor.robot_setup.posture import Chain, Poser, Stance
-from valor.robot_setup.questions import Ask, Question, Tell, guess, silent
-from valor.robot_setup.skeleton import Skeleton, skeleton
-from valor.robot_setup.source import Source
+from valor.robot_setup.robot_yaml import RobotDraft, frames
+from valor.robot_setup.skeleton import Skeleton, find_skeleton
+from valor.robot_setup.source import Prompt, Question, Source, accept_guess
 
-# Preset → where the hand goes from its shoulder: forward, outward, up, in lengths of the arm.
+# Preset → position of the hand from its shoulder: forward, outward, up, in lengths of the arm.
 PRESETS = {
     "home": (0.45, 0.25, -0.75),
     "forward": (0.8, 0.15, -0.2),
@@ -32,123 +30,87 @@ PRESETS = {
     "fold": (0.35, 0.15, -0.35),
 }
 GRAVITY = 9.81
-GROUND = 0.02  # of a leg: parts of a foot whose undersides are so near in height all stand on the ground
-GENERIC = ("model", "robot", "scene", "urdf", "mjcf")  # names of files that say nothing of the robot
-Presets = dict[str, dict[str, dict[str, float]]]  # preset, side, joint → angle [rad]
+STEPS = (0.001, 0.0005, 0.00025)  # of the physics [s]; from the second for legs below 0.4 m
+GENERIC = ("model", "robot", "scene", "urdf", "mjcf")  # file names that do not name the robot
+Sides = dict[str, dict[str, float]]  # side, joint → angle [rad]
 
 
-@dataclass
-class Study:
-    """A robot as it was found in its model, and all that was solved for it; nothing is written yet."""
+def draft_robot(
+    model: Path, name: str | None = None, ask: Prompt = accept_guess, report: Callable[[str], None] | None = None
+) -> RobotDraft:
+    """Determine the content of a robot's folder from its model, MJCF or URDF.
 
-    content: robot_yaml.Content
-    parts: model_xml.Parts
-
-    def write(self, folder: Path) -> None:
-        """Write ``model.xml``, ``robot.yaml`` and meshes into a folder that there is."""
-        model_xml.write(self.content.robot, self.parts, self.content.name, folder, self.content.stance.leg_length)
-        (folder / "robot.yaml").write_text(robot_yaml.text(self.content), encoding="utf-8")
-
-
-def study(model: Path, name: str | None = None, ask: Ask = guess, tell: Tell = silent) -> Study:
-    """Find out all that a robot's folder says.
-
-    Args:
-        model: MJCF or URDF.
-        name: of the robot; None: asked for.
-        ask: for what cannot be known.
-        tell: what is being done.
-
-    Raises:
-        ConfigurationError: the model cannot be read, is no humanoid with six joints a leg, or cannot stand.
+    ``ask`` answers questions about what the model leaves open; ``report`` receives the current stage. Raises
+    ConfigurationError: the model cannot be read, is no humanoid with six joints per leg, or cannot stand.
     """
-    tell(f"reading {model.name}")
-    robot = skeleton(Source(model), ask)
-    _keep_frames_free(robot)
-    name = name or ask(Question("name of the robot", _usual_name(model)))
-    _find_ends(robot)
-    tell("measuring soles, hands and shapes")
-    soles = {side: _sole(robot, side) for side in SIDES}
-    palms = {side: _palm(robot, side) for side in robot.arms}
-    parts = model_xml.fit(robot, soles, palms)
+    report = report or (lambda stage: None)
+    report(f"reading {model.name}")
+    robot = find_skeleton(Source(model, ask))
+    _free_frame_names(robot)
+    name = name or ask(Question("name of the robot", _default_name(model)))
+    report("measuring soles, hands and shapes")
+    geometry = fit_geometry(robot)
     mass = float(sum(robot.source.mj.body_mass[body] for body in robot.edges))
-    found = drives(robot, _leg_length(robot), mass * GRAVITY)
-    limits = {robot.joint_name(j): (d.lower, d.upper) for j, d in found.items()}
-    mj = _compiled(robot, parts, name, found)
-    poser = Poser(mj, limits)
-    tell("having it stand")
-    stance, presets = _postures(robot, poser, limits, soles)
-    parts.excluded = _overlapping(poser, stance.angles)
-    presets = _free(poser, presets, stance.angles, set(parts.excluded)) if presets else {}
-    tell("keeping limbs apart")
-    pairs = _pairs(robot, poser, parts, stance, presets)
-    parts.step = 0.001 if stance.leg_length > 0.4 else 0.0005
-    poser.put(stance.angles)
+    drives = find_drives(robot, leg_length(robot), mass * GRAVITY)
+    mj = _compile(robot, geometry, name, drives)
+    poser = Poser(mj)
+    report("solving postures")
+    stance, presets = _postures(robot, poser, geometry.soles)
+    overlaps: set[tuple[str, str]] = set()
+    for angles in (stance.angles, {}):
+        poser.set_posture(angles)
+        overlaps.update(poser.overlaps())
+    geometry.excluded = sorted(pair for pair in overlaps if "world" not in pair)
+    presets = _shorten(poser, presets, stance.angles, set(geometry.excluded))
+    report("choosing bodies to keep apart")
+    pairs = _pairs(robot, poser, geometry, stance, presets)
+    poser.set_posture(stance.angles)
     mujoco.mj_forward(mj, poser.data)
-    tune(found, inertias(robot, mj, poser.data), mass * GRAVITY * stance.com_height, parts.step)
-    passive = poser.rest(stance.angles, _springs(robot))
-    content = robot_yaml.Content(name, robot, soles, found, stance, mass, presets, pairs, parts.step, passive)
-    return Study(content, parts)
+    inertia, moment = inertias(robot, mj, poser.data), mass * GRAVITY * stance.com_height
+    geometry.step = next(
+        (step for step in STEPS[stance.leg_length < 0.4 :] if set_gains(drives, inertia, moment, step)), STEPS[-1]
+    )
+    passive = poser.solve_passive(stance.angles, _springs(robot))
+    return RobotDraft(name, robot, geometry, drives, stance, mass, presets, pairs, passive)
 
 
-def new_robot(model: Path, folder: Path, name: str) -> Skeleton:
-    """Write a robot's folder out of its model, and ask nobody.
-
-    Raises:
-        ConfigurationError: as ``study``.
-    """
-    found = study(model, name)
+def new_robot(model: Path, folder: Path, name: str) -> None:
+    """Create a robot's folder from its model with all guesses; raises as ``draft_robot``."""
+    draft = draft_robot(model, name)
     folder.mkdir(parents=True, exist_ok=True)
-    found.write(folder)
-    return found.content.robot
+    draft.write(folder)
 
 
-def _usual_name(model: Path) -> str:
-    """The file's; its folder's where that says nothing."""
-    told = model.stem if model.stem not in GENERIC else model.resolve().parent.name
-    return re.sub(r"[^a-z0-9]+", "_", told.lower()).strip("_") or "robot"
+def _default_name(model: Path) -> str:
+    """Return the file's name, or its folder's if the file's is generic."""
+    name = model.stem if model.stem not in GENERIC else model.resolve().parent.name
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "robot"
 
 
-def _postures(
-    robot: Skeleton, poser: Poser, limits: dict[str, tuple[float, float]], soles: dict[str, Sole]
-) -> tuple[Stance, Presets]:
-    """How it stands, and its arms' presets."""
-    legs = {
-        side: Chain(
-            tuple(map(robot.joint_name, robot.legs[side].joints)), f"{side[0]}_sole", (each.heel + each.toe) / 2
-        )
-        for side, each in soles.items()
-    }
-    half_width = max(each.half_width for each in soles.values())
-    arms = {
-        side: Chain(tuple(map(robot.joint_name, limb.joints)), f"{side[0]}_gripper")
-        for side, limb in robot.arms.items()
-    }
-    rest = _within({}, limits)
-    passive = poser.rest(rest, _springs(robot))
-    rest |= passive
-    presets = {
-        preset: {side: poser.reach(arm, _outward(way, side), rest) for side, arm in arms.items()}
-        for preset, way in PRESETS.items()
-        if arms
-    }
-    home = {name: angle for side in presets.get("home", {}).values() for name, angle in side.items()}
-    stance = poser.stand(legs, half_width, rest | home)
-    stance.angles = {name: angle for name, angle in stance.angles.items() if name not in passive}
-    return stance, presets
-
-
-def _keep_frames_free(robot: Skeleton) -> None:
-    """Rename bodies that are called like frames of others."""
-    names, wanted = robot.source.bodies, robot_yaml.frames(robot) | {"imu": "imu"}
+def _free_frame_names(robot: Skeleton) -> None:
+    """Rename bodies with the name of another frame."""
+    names, reserved = robot.source.bodies, frames(robot) | {"imu": "imu"}
     for body, name in enumerate(names):
-        if wanted.get(name, body) != body:
+        if reserved.get(name, body) != body:
             names[body] = next(new for i in range(1, len(names) + 2) if (new := f"{name}_body{i}") not in names)
-            robot.source.notes.append(f"body {name} is called {names[body]}: the frame {name} is another")
+            robot.source.notes.append(f"body {name} is renamed to {names[body]}: {name} is the name of another frame")
+
+
+def _compile(robot: Skeleton, geometry: ModelGeometry, name: str, drives: dict[int, Drive]) -> mujoco.MjModel:
+    """Compile the generated model with the drives' armature and limits."""
+    spec = mujoco.MjSpec.from_string(model_xml.render(robot, geometry, name))
+    for joint, drive in drives.items():
+        made = spec.joint(robot.joint_name(joint))
+        made.armature = drive.armature
+        made.range, made.limited = (drive.lower, drive.upper), mujoco.mjtLimited.mjLIMITED_TRUE
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise robot.source.fail(f"no model can be made of it: {' '.join(str(error).split())}") from None
 
 
 def _springs(robot: Skeleton) -> dict[str, float]:
-    """Of hinges that nothing drives, where their springs are, or else their zeros [rad]."""
+    """Return passive hinge → angle at which its spring is relaxed, or zero without a spring [rad]."""
     mj = robot.source.mj
     return {
         robot.joint_name(j): float(mj.qpos_spring[mj.jnt_qposadr[j]]) if mj.jnt_stiffness[j] else 0.0
@@ -156,167 +118,89 @@ def _springs(robot: Skeleton) -> dict[str, float]:
     }
 
 
-def _find_ends(robot: Skeleton) -> None:
-    """Where a passive hinge divides a hand, the part at the wrist.
-
-    And of a foot that which carries: the longest of those that reach lowest.
-    """
-    source = robot.source
-    for arm in robot.arms.values():
-        wrist = int(source.mj.jnt_bodyid[arm.joints[-1]])
-        if wrist in model_xml.link(robot, arm.end):
-            arm.end = max(model_xml.rigid(robot, wrist), key=lambda body: float(source.mj.body_mass[body]))
-    for leg in robot.legs.values():
-        parts = {tuple(model_xml.rigid(robot, body)) for body in model_xml.link(robot, leg.end)}
-        ankle = source.data.xanchor[leg.joints[-1]]
-        soles = {part: sole(cloud(source, part), ankle, robot.forward) for part in sorted(parts)}
-        found = {part: each for part, each in soles.items() if each is not None}
-        if len(parts) < 2 or not found:
-            continue
-        lowest = min(float(each.origin @ robot.forward[:, 2]) for each in found.values())
-        near = GROUND * _leg_length(robot)
-        low = [part for part, each in found.items() if float(each.origin @ robot.forward[:, 2]) < lowest + near]
-        part = max(low, key=lambda each: found[each].toe - found[each].heel)
-        leg.end = max(part, key=lambda body: float(source.mj.body_mass[body]))
-
-
-def _sole(robot: Skeleton, side: str) -> Sole:
-    leg, source = robot.legs[side], robot.source
-    found = sole(cloud(source, model_xml.rigid(robot, leg.end)), source.data.xanchor[leg.joints[-1]], robot.forward)
-    if found is None:
-        raise ConfigurationError(
-            f"{source.file}: body {robot.name(leg.end)}: no flat underside found; expected geoms to stand on"
-        )
-    return found
-
-
-def _palm(robot: Skeleton, side: str) -> FloatArray:
-    """Where a hand holds: two thirds of the way from its joint to its far end, as drawn."""
-    limb, source = robot.arms[side], robot.source
-    wrist = source.data.xanchor[limb.joints[-1]]
-    points = cloud(source, model_xml.link(robot, limb.end))
-    if not len(points):
-        return np.asarray(source.data.xipos[limb.end])
-    centre: FloatArray = points.mean(axis=0)
-    away = centre - wrist
-    length = float(np.linalg.norm(away))
-    if length < 1e-6:
-        return centre
-    far = float(((points - wrist) @ away).max()) / length
-    palm: FloatArray = wrist + away / length * max(far * 2 / 3, length)
-    return palm
-
-
-def _leg_length(robot: Skeleton) -> float:
-    """About: the joints' anchors of a leg, as drawn [m]."""
-    anchors = robot.source.data.xanchor[robot.legs["left"].joints]
-    return float(np.linalg.norm(np.diff(anchors, axis=0), axis=1).sum())
-
-
-def _compiled(robot: Skeleton, parts: model_xml.Parts, name: str, found: dict[int, Drive]) -> mujoco.MjModel:
-    """The generated model with the drives' armature."""
-    spec = mujoco.MjSpec.from_string(model_xml.text(robot, parts, name))
-    for joint, drive in found.items():
-        own = spec.joint(robot.joint_name(joint))
-        own.armature = drive.armature
-        own.range, own.limited = (drive.lower, drive.upper), mujoco.mjtLimited.mjLIMITED_TRUE
-    return spec.compile()
-
-
-def _within(angles: dict[str, float], limits: dict[str, tuple[float, float]]) -> dict[str, float]:
-    """All joints at zero, or as near to it as they go."""
-    return {
-        name: float(np.clip(angles.get(name, 0.0), low, high))
+def _postures(robot: Skeleton, poser: Poser, soles: dict[str, Sole]) -> tuple[Stance, dict[str, Sides]]:
+    """Return the nominal posture and the presets of the arms."""
+    legs = {
+        side: Chain(robot.joint_names(robot.legs[side].joints), f"{side[0]}_sole", (sole.heel + sole.toe) / 2)
+        for side, sole in soles.items()
+    }
+    half_width = max(sole.half_width for sole in soles.values())
+    arms = {side: Chain(robot.joint_names(arm.joints), f"{side[0]}_gripper") for side, arm in robot.arms.items()}
+    limits = {name: poser.limits(name) for name in robot.joint_names(sorted(robot.driven))}
+    rest = {
+        name: float(np.clip(0.0, *poser.bounds([name]))[0])
         for name, (low, high) in limits.items()
         if not low <= 0.0 <= high
     }
+    passive = poser.solve_passive(rest, _springs(robot))
+    rest |= passive
+    presets: dict[str, Sides] = {}
+    for preset, (ahead, outward, up) in PRESETS.items() if arms else ():
+        directions = {side: np.array([ahead, outward if side == "left" else -outward, up]) for side in arms}
+        presets[preset] = {side: poser.solve_reach(arm, directions[side], rest) for side, arm in arms.items()}
+    stance = poser.solve_stance(legs, half_width, rest | _merged(presets.get("home", {})))
+    stance.angles = {name: angle for name, angle in stance.angles.items() if name not in passive}
+    return stance, presets
 
 
-def _outward(way: tuple[float, float, float], side: str) -> FloatArray:
-    return np.array([way[0], way[1] if side == "left" else -way[1], way[2]])
+def _merged(sides: Sides) -> dict[str, float]:
+    return {name: angle for angles in sides.values() for name, angle in angles.items()}
 
 
-def _overlapping(poser: Poser, legs: dict[str, float]) -> list[tuple[str, str]]:
-    """What overlaps standing, and in the configuration of zeros."""
-    pairs: set[tuple[str, str]] = set()
-    for angles in (legs, {}):
-        poser.put(angles)
-        pairs |= set(poser.touching())
-    return sorted(pair for pair in pairs if "world" not in pair)
-
-
-def _free(
-    poser: Poser,
-    presets: Presets,
-    standing: dict[str, float],
-    excluded: set[tuple[str, str]],
-) -> Presets:
-    """Presets as far from home as they go without touching, both arms at once."""
-    home, kept = presets["home"], {}
+def _shorten(
+    poser: Poser, presets: dict[str, Sides], standing: dict[str, float], excluded: set[tuple[str, str]]
+) -> dict[str, Sides]:
+    """Shorten presets towards ``home`` until both arms touch nothing; drop those that always touch."""
+    found: dict[str, Sides] = {}
     for preset, sides in presets.items():
-        for share in (1.0, 0.8, 0.6, 0.4, 0.2):
-            blended = {
-                side: {
-                    name: round(home[side][name] + share * (angle - home[side][name]), 3)
-                    for name, angle in angles.items()
-                }
-                for side, angles in sides.items()
-            }
-            poser.put(standing | {name: angle for angles in blended.values() for name, angle in angles.items()})
-            if not set(poser.touching()) - excluded:
-                kept[preset] = blended
+        for ratio in (1.0, 0.8, 0.6, 0.4, 0.2):
+            blended: Sides = {}
+            for side, angles in sides.items():
+                home = presets["home"][side]
+                blended[side] = {name: round(home[name] + ratio * (a - home[name]), 3) for name, a in angles.items()}
+            poser.set_posture(standing | _merged(blended))
+            if not set(poser.overlaps()) - excluded:
+                found[preset] = blended
                 break
-    return kept
+    return found
 
 
 def _pairs(
-    robot: Skeleton,
-    poser: Poser,
-    parts: model_xml.Parts,
-    stance: Stance,
-    presets: Presets,
+    robot: Skeleton, poser: Poser, geometry: ModelGeometry, stance: Stance, presets: dict[str, Sides]
 ) -> list[tuple[str, str]]:
-    """What shall not touch: legs each other, the outer arms the trunk, the thighs and each other."""
-    named = {body: robot.name(body) for body in parts.capsules}
+    """Return the pairs kept apart: between legs, arms, and outer arm and trunk or thigh, if they are apart at rest."""
+    shapes = [robot.name(body) for body in geometry.capsules]
 
-    def along(joints: list[int]) -> list[int]:
-        return [body for body in parts.capsules if any(name in own[body] for name in map(robot.joint_name, joints))]
+    def along(joints: list[int]) -> list[str]:
+        bodies = {int(poser.mj.joint(robot.joint_name(j)).bodyid[0]) for j in joints}
+        return [name for name in shapes if poser.mj.body(name).id in bodies]
 
-    own = {
-        body: {poser.mj.joint(j).name for j in range(poser.mj.njnt) if poser.mj.jnt_bodyid[j] == poser.mj.body(name).id}
-        for body, name in named.items()
-    }
     legs = {side: along(robot.legs[side].joints[2:]) for side in SIDES}
     pairs = [*product(legs["left"], legs["right"])]
-    trunk = [body for body in (robot.chest, robot.pelvis, robot.head) if body in parts.capsules]
-    outer = {side: along(limb.joints[len(limb.joints) // 2 :]) for side, limb in robot.arms.items()}
+    trunk = [robot.name(b) for b in (robot.chest, robot.pelvis, robot.head) if b is not None and b in geometry.capsules]
+    outer = {side: along(arm.joints[len(arm.joints) // 2 :]) for side, arm in robot.arms.items()}
     for side, arm in outer.items():
         pairs += product(arm, dict.fromkeys([*trunk, *legs[side][:2]]))
     if outer:
         pairs += product(outer["left"], outer["right"])
     near = SelfCollision().near * stance.leg_length / ESCHER.leg
-    kept = []
-    for one, other in pairs:
+    found = []
+    for pair in pairs:
         distances = []
-        for angles in (
-            {},
-            *({name: a for side in sides.values() for name, a in side.items()} for sides in presets.values()),
-        ):
-            poser.put(stance.angles | angles)
-            distances.append(_distance(poser, named[one], named[other]))
+        for angles in ({}, *map(_merged, presets.values())):
+            poser.set_posture(stance.angles | angles)
+            distances.append(_distance(poser, *pair))
         if distances[0] > 1.05 * near and min(distances) > 0.5 * near:
-            kept.append((named[one], named[other]))
-    return kept
+            found.append(pair)
+    return found
 
 
-def _distance(poser: Poser, one: str, other: str) -> float:
+def _distance(poser: Poser, *bodies: str) -> float:
+    """Return the distance of the largest colliding geoms of two bodies [m], at most 1."""
     mj = poser.mj
+    collide = (mj.geom_contype != 0) | (mj.geom_conaffinity != 0)
     geoms = []
-    for name in (one, other):
-        mine = [
-            g
-            for g in range(mj.ngeom)
-            if mj.geom_bodyid[g] == mj.body(name).id and (mj.geom_contype[g] or mj.geom_conaffinity[g])
-        ]
-        geoms.append(max(mine, key=lambda g: float(mj.geom_rbound[g])))
-    return float(mujoco.mj_geomDistance(mj, poser.data, geoms[0], geoms[1], 1.0, None))
+    for name in bodies:
+        own = np.flatnonzero((mj.geom_bodyid == mj.body(name).id) & collide)
+        geoms.append(int(own[np.argmax(mj.geom_rbound[own])]))
+    return float(mujoco.mj_geomDistance(mj, poser.data, *geoms, 1.0, None))

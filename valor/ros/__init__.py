@@ -1,1 +1,1 @@
-"""What the ROS side's processes share: node, life, log, parameters; types by their names, and the QoS that suits."""
+"""ROS parts shared by processes: node, life cycle, log, parameters, message types and QoS."""

@@ -1,7 +1,7 @@
-"""ROS message types by their names: the text that describes one in a bag, the hash of it, the Python class.
+"""ROS message types by name: definitions for bags, hashes, and Python classes.
 
-Messages have names as ``sensor_msgs/msg/JointState``. Of an action there are those that its topics carry: the hidden
-topic ``_action/feedback`` has ``…/action/<Action>_FeedbackMessage``, which contains a ``…/action/<Action>_Feedback``.
+Names are as ``sensor_msgs/msg/JointState``. Of actions, the types of their topics are supported: the hidden topic
+``_action/feedback`` has ``…/action/<Action>_FeedbackMessage``, which contains ``…/action/<Action>_Feedback``.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ _PRIMITIVES = frozenset(
     {"bool", "byte", "char", "float32", "float64", "int8", "uint8", "int16", "uint16"}
     | {"int32", "uint32", "int64", "uint64", "string", "wstring"}
 )
-_FEEDBACK, _FEEDBACK_MESSAGE = "_Feedback", "_FeedbackMessage"  # end the names of an action's types
+_FEEDBACK, _FEEDBACK_MESSAGE = "_Feedback", "_FeedbackMessage"  # suffixes of an action's types
 _SEPARATOR = "=" * 80
 _FIELD = re.compile(r"(?P<type>[A-Za-z][\w/]*)\S*\s+[A-Za-z]\w*(?P<constant>\s*=)?")
 
 
 class UnknownTypeError(Exception):
-    """A message type is not installed here; the text is one line."""
+    """A message type is not installed."""
 
 
 def definition(type_name: str) -> str:
-    """The definition of a type with its dependencies, as MCAP's ``ros2msg`` wants it.
+    """Definition of a type with its dependencies, in the form of MCAP's ``ros2msg``.
 
     Args:
         type_name: as ``sensor_msgs/msg/JointState``.
@@ -53,25 +53,25 @@ def definition(type_name: str) -> str:
 
 @cache
 def type_hash(type_name: str) -> str:
-    """The hash of a type's description (REP-2011, ``RIHS01_…``); empty: its package was built without."""
+    """Hash of a type's description (REP-2011, ``RIHS01_…``); empty if its package has none."""
     package, kind, base = type_name.split("/")
     file = (
         f"{base.removesuffix(_FEEDBACK_MESSAGE).removesuffix(_FEEDBACK)}.json" if kind == "action" else f"{base}.json"
     )
     for folder in _folders(package, kind):
         try:
-            told = json.loads((folder / file).read_text())["type_hashes"]
+            hashes = json.loads((folder / file).read_text())["type_hashes"]
         except (OSError, ValueError, KeyError):
             continue
-        return next((str(each["hash_string"]) for each in told if each["type_name"] == type_name), "")
+        return next((str(each["hash_string"]) for each in hashes if each["type_name"] == type_name), "")
     return ""
 
 
 def message_type(type_name: str) -> type:
-    """The Python class of a type.
+    """Python class of a type.
 
     Raises:
-        UnknownTypeError: there is none.
+        UnknownTypeError: it is not installed.
     """
     package, kind, base = type_name.split("/")
     try:
@@ -89,14 +89,14 @@ def message_type(type_name: str) -> type:
 
 
 def _folders(package: str, kind: str) -> Iterator[Path]:
-    """Where definitions may be: in a sourced ROS 2, then beside this Python's packages."""
+    """Folders of definitions: in a sourced ROS 2, then in this Python's prefix."""
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     return (Path(prefix) / "share" / package / kind for prefix in prefixes if prefix)
 
 
 @cache
 def _read(type_name: str) -> str:
-    """The .msg file, or the part of an .action."""
+    """Text of the .msg file, or the part of an .action."""
     try:
         package, kind, base = type_name.split("/")
     except ValueError:
@@ -116,7 +116,7 @@ def _read(type_name: str) -> str:
 
 
 def _qualified(package: str, text: str) -> str:
-    """With the package before every type of its own: readers look for a bare name beside the action, not in ``msg``."""
+    """Add the package to its own types: readers search a bare name beside the action, not in ``msg``."""
     lines = []
     for line in text.splitlines():
         match = _FIELD.match(line)

@@ -1,7 +1,7 @@
-"""Commands of ROS that a cable has held back: refused, for what comes late nobody wants any more.
+"""Rejection of ROS commands from other hosts received more than 1 s (wall clock) after sending.
 
-How long one was on its way is by the wall clocks of both computers, which are chrony's or PTP's to keep: where the
-sender's is behind by more, all of its commands are refused.
+The wall clocks of both hosts must be synchronised, by chrony or PTP. If the sender's clock is slow by more than 1 s,
+all of its commands are rejected.
 """
 
 from __future__ import annotations
@@ -16,49 +16,48 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from valor.ros.node import Untouched
-from valor.ros.taking import uncalled
+from valor.ros.taking import Untouched, uncalled
 
-LATE = 1.0  # a command from another computer that was sent longer ago is refused [s]
-TOLD = 1.0  # between two words of one topic [s]
-SOON = 0.5  # a goal's request has both servers of its service within [s]
-REQUESTS = 100  # remembered
-_LOOK = 1e-3  # between two [s]
+LATE = 1.0  # age from which on a command from another host is rejected [s]
+LOG_PERIOD = 1.0  # of one topic [s]
+REQUEST_TIMEOUT = 0.5  # until both servers of a goal's service have received its request [s]
+REQUESTS = 100  # stored
+_POLL_PERIOD = 1e-3  # [s]
 _log = logging.getLogger("ros")
 
 Info = Mapping[str, int | None]
-"""What rclpy tells of a message."""
+"""Message info of rclpy."""
 
 
-def timely(topic: str, callback: Callable[[Any, Info], object], *, others: bool) -> Callable[[Any, Info], object]:
-    """A callback that passes on what was sent at most ``LATE`` ago, and logs what was not.
+def reject_late(topic: str, callback: Callable[[Any, Info], object], *, others: bool) -> Callable[[Any, Info], object]:
+    """Callback that forwards messages sent at most ``LATE`` ago, and logs others.
 
-    Without ``others``, computers that may command, it is the callback itself. Messages without stamps are passed on.
+    Without ``others``, other hosts that may command, it is the callback itself. Messages without stamps are forwarded.
     """
     if not others:
         return callback
-    told = -math.inf
+    logged_at = -math.inf
 
-    def pass_on(message: Any, info: Info) -> None:
-        nonlocal told
-        why = _late(info.get("source_timestamp"), info.get("received_timestamp"))
-        if not why:
+    def forward(message: Any, info: Info) -> None:
+        nonlocal logged_at
+        reason = _late(info.get("source_timestamp"), info.get("received_timestamp"))
+        if not reason:
             callback(message, info)
-        elif time.monotonic() - told >= TOLD:
-            told = time.monotonic()
-            _log.warning("%s: refused: %s", topic, why)
+        elif time.monotonic() - logged_at >= LOG_PERIOD:
+            logged_at = time.monotonic()
+            _log.warning("%s: rejected: %s", topic, reason)
 
-    return pass_on
+    return forward
 
 
 class GoalAges:
-    """How long an action's goals were on their way, which rclpy does not tell.
+    """Ages of an action's goals, which rclpy does not provide.
 
-    A second server of the service by which goals are sent hears the same requests, with their stamps. It answers none.
+    A second server of the goal service receives the same requests with their stamps, and answers none. It must be
+    created before the action's server, so that clients discover both.
     """
 
     def __init__(self, node: Node, action_type: Any, name: str) -> None:
-        """Listen; to be made before the action's server, so that no client knows that one alone."""
         self._node = node
         self._late: dict[bytes, str] = {}  # by the goal's id
         self._service = node.create_service(
@@ -70,35 +69,34 @@ class GoalAges:
         )
 
     def late(self, handle: ServerGoalHandle) -> str:
-        """Why a goal is not to be obeyed, in words for its client; empty: it is timely. Waits for what it must know."""
-        key, until = bytes(handle.goal_id.uuid), time.monotonic() + SOON
+        """Reason to reject a goal; empty if it is in time. Waits for the stamps."""
+        key, until = bytes(handle.goal_id.uuid), time.monotonic() + REQUEST_TIMEOUT
         while True:
-            self._hear()
-            if (why := self._late.pop(key, None)) is not None:
-                return why
+            self._take()
+            if (reason := self._late.pop(key, None)) is not None:
+                return reason
             if time.monotonic() > until:
-                return "when it was sent is not known; send it again"
-            time.sleep(_LOOK)
+                return "time of sending unknown; send it again"
+            time.sleep(_POLL_PERIOD)
 
     def destroy(self) -> None:
-        """Listen no more."""
         self._node.destroy_service(self._service)
 
-    def _hear(self) -> None:
+    def _take(self) -> None:
         while True:
             with self._service.handle:
                 request, header = self._service.handle.service_take_request(self._service.srv_type.Request)
             if header is None:
                 return
-            # Of requests Fast DDS' layer says when they were sent, and says it again for when they were received.
+            # For requests, rmw_fastrtps reports the time of sending also as the time of reception.
             self._late[bytes(request.goal_id.uuid)] = _late(header.source_timestamp, time.time_ns())
             if len(self._late) > REQUESTS:
                 del self._late[next(iter(self._late))]
 
 
 def _late(sent: int | None, received: int | None) -> str:
-    """Why what was sent and received then [ns] is refused; empty: it is not, or there are no stamps."""
+    """Reason to reject a message sent and received at these times [ns]; empty if in time, or without stamps."""
     late = 1e-9 * (received - sent) if sent and received else 0.0
     if late <= LATE:
         return ""
-    return f"came {late:.1f} s after it was sent, by both computers' wall clocks; expected at most {LATE:g} s"
+    return f"received {late:.1f} s after it was sent, by both hosts' wall clocks; expected at most {LATE:g} s"

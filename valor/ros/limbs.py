@@ -1,8 +1,12 @@
-"""What topics call feet and hands, left before right: Team ViGIR's ``flor/l_hand/goal_pose`` and the like."""
+"""Names on ROS: feet and hands in topics, left before right, as Team ViGIR's; keys of diagnostics of the VRC."""
 
 from __future__ import annotations
 
 FEET = ("l_foot", "r_foot")
 HANDS = ("l_hand", "r_hand")
 WRENCH = "flor/{}/force_torque_sensor"
-"""Topic of the wrench at one of them."""
+"""Topic of a limb's wrench."""
+
+# Keys of the VRC's /diagnostics that valorctl reads.
+LAST_MODE_REJECTED = "last control mode rejected"
+LAST_TRAJECTORY_REJECTED = "last trajectory rejected"

@@ -1,6 +1,6 @@
-"""Steps as few bytes: whole numbers, each told by how it changes from the same foot's last step.
+"""Packed footsteps: integers, each as the difference to the same foot's last step.
 
-Of a steady walk hardly more is left than how many steps there are.
+A steady walk needs hardly more bytes than one step.
 """
 
 from __future__ import annotations
@@ -15,21 +15,20 @@ from rclpy.serialization import deserialize_message, serialize_message
 from vigir_footstep_planning_msgs.msg import Step
 
 from valor.link.errors import SealError
-from valor.link.orientation import smaller, whole
-from valor.ros.varints import varint, varints
+from valor.link.fields import from_smallest_three, smallest_three
 
 POSITION = 1e-3  # [m]
-TURN = 1.0 / 4096.0  # of a quaternion's component
+TURN = 1.0 / 4096.0  # quaternion component
 DURATION = 1e-3  # [s]
 MOST = 1000  # steps of a plan
-_LARGEST = 2**30  # of a number
+_LARGEST = 2**30  # absolute value, exclusive
 _COLUMNS = 13
 
 Numbers = npt.NDArray[np.int64]
 
 
 def pack(steps: Sequence[Step]) -> bytes | None:
-    """As they travel; places to half a millimetre. None: they differ in more than numbers, or have none that can be."""
+    """Packed steps, to half a millimetre. None if they differ in other fields, or a number is out of range."""
     if not steps:
         return b""
     rows, bare = [], [_without_numbers(step) for step in steps]
@@ -43,15 +42,15 @@ def pack(steps: Sequence[Step]) -> bytes | None:
     table = np.array(rows, dtype=np.int64)
     changes = table.copy()
     changes[2:] -= table[:-2]
-    alike = serialize_message(bare[0])  # what CDR leaves between fields is whatever was in memory: never compared
+    alike = serialize_message(bare[0])  # its padding is not initialised: never compared
     return _deflated(len(alike).to_bytes(2, "big") + alike + b"".join(map(varint, changes.T.reshape(-1).tolist())))
 
 
 def unpack(data: bytes) -> list[Step]:
-    """The steps.
+    """Inverse of ``pack``.
 
     Raises:
-        SealError: they are none.
+        SealError: malformed.
     """
     if not data:
         return []
@@ -60,18 +59,17 @@ def unpack(data: bytes) -> list[Step]:
         size = int.from_bytes(content[:2], "big")
         bare = deserialize_message(content[2 : 2 + size], Step)
         changes = np.array(varints(content, 2 + size)[0], dtype=np.int64).reshape(_COLUMNS, -1).T
-    except Exception as error:  # zlib's, NumPy's, and whatever rclpy raises
-        raise SealError(f"no steps: {' '.join(str(error).split())}") from None
+    except Exception as error:  # of zlib, NumPy and rclpy
+        raise SealError(f"steps: {' '.join(str(error).split())}") from None
     table = changes.copy()
     for place in range(2, len(table)):
         table[place] += table[place - 2]
     if len(table) > MOST or np.abs(table).max() >= _LARGEST:
-        raise SealError("no steps: a number is too large")
+        raise SealError("steps: a number is too large")
     return [_step(bare, row) for row in table]
 
 
 def _without_numbers(step: Step) -> Step:
-    """All that is told once."""
     bare = copy.copy(step)
     bare.step_index, bare.swing_height, bare.sway_duration, bare.step_duration = 0, 0.0, 0.0, 0.0
     bare.foot = type(step.foot)(header=step.foot.header)
@@ -83,7 +81,7 @@ def _numbers(step: Step) -> npt.NDArray[np.float64]:
     """(13,) in the units of this file."""
     p, q = step.foot.pose.position, step.foot.pose.orientation
     turned = (q.w, q.x, q.y, q.z)
-    components, largest = smaller(turned)
+    components, largest = smallest_three(turned)
     known = 1.0 if any(turned) else 0.0
     return np.array((
         step.step_index, step.foot.foot_index, step.valid, p.x / POSITION, p.y / POSITION, p.z / POSITION, known,
@@ -97,11 +95,11 @@ def _step(bare: Step, row: Numbers) -> Step:
     step = copy.deepcopy(bare)
     index, foot, valid, x, y, z, known, largest = (int(each) for each in row[:8])
     if not (-(2**31) <= index < 2**31 and 0 <= foot < 256 and 0 <= largest < 4 and row[12] >= 0):
-        raise SealError("no steps: a number is out of its range")
+        raise SealError("steps: a number is out of range")
     step.step_index, step.foot.foot_index, step.valid = index, foot, bool(valid)
     position, q = step.foot.pose.position, step.foot.pose.orientation
     position.x, position.y, position.z = x * POSITION, y * POSITION, z * POSITION
-    turned = whole(np.asarray(row[8:11] * TURN, dtype=np.float64), largest) if known else np.zeros(4)
+    turned = from_smallest_three(np.asarray(row[8:11] * TURN, dtype=np.float64), largest) if known else np.zeros(4)
     q.w, q.x, q.y, q.z = map(float, turned)
     step.swing_height = float(row[11]) * POSITION
     sway, swing = divmod(int(row[12]), 2**16)
@@ -112,3 +110,36 @@ def _step(bare: Step, row: Numbers) -> Step:
 def _deflated(data: bytes) -> bytes:
     deflate = zlib.compressobj(9, zlib.DEFLATED, -15, 9)
     return deflate.compress(data) + deflate.flush()
+
+
+def varint(number: int) -> bytes:
+    rest = number << 1 if number >= 0 else ~(number << 1)
+    found = bytearray()
+    while rest >= 0x80:
+        found.append(rest & 0x7F | 0x80)
+        rest >>= 7
+    found.append(rest)
+    return bytes(found)
+
+
+def varints(data: bytes, at: int = 0, count: int | None = None) -> tuple[list[int], int]:
+    """Decode ``count`` numbers from ``at`` on, or all; also returns the index of their end.
+
+    Raises:
+        SealError: a number longer than 63 bits, or fewer numbers.
+    """
+    found: list[int] = []
+    number = shift = 0
+    while at < len(data) and len(found) != count:
+        byte = data[at]
+        at += 1
+        number |= (byte & 0x7F) << shift
+        shift += 7
+        if byte < 0x80:
+            found.append(number >> 1 if not number & 1 else ~(number >> 1))
+            number = shift = 0
+        elif shift > 63:
+            raise SealError("a number is too long")
+    if count is not None and len(found) < count:
+        raise SealError(f"{len(found)} numbers; expected {count}")
+    return found, at

@@ -1,7 +1,4 @@
-"""ROS parameters of a node: declared with a description and a range, read-only or changed at run time.
-
-rclpy refuses what is of another type or out of the range, names the parameter and both, and changes nothing.
-"""
+"""ROS parameters with description and range; rclpy rejects values of another type or out of range."""
 
 from __future__ import annotations
 
@@ -20,14 +17,14 @@ T = TypeVar("T", bool, int, float, str, list[str])
 
 @dataclass(frozen=True)
 class Range:
-    """What a number may be."""
+    """Range of a number."""
 
     lowest: float
     highest: float
 
 
 class Parameters:
-    """Declares the node's parameters, and tells of changes."""
+    """Declares the node's parameters, and reports changes."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -42,14 +39,7 @@ class Parameters:
         values: Range | None = None,
         on_change: Callable[[Any], None] | None = None,
     ) -> T:
-        """Declare a parameter and read it.
-
-        Args:
-            name: of the parameter.
-            default: its value unless it was set at start.
-            description: for people, with the unit.
-            values: what it may be.
-            on_change: is given every new value, in the ROS thread; None: the parameter is read-only.
+        """Declare a parameter and read it; it is read-only without ``on_change``, called in the ROS thread.
 
         Raises:
             ConfigurationError: it was set at start to a value of another type or out of range.
@@ -69,10 +59,10 @@ class Parameters:
         value: T = parameter.value
         return value
 
-    def refuse_changes(self, reason: str) -> None:
-        """From now on refuse every change, and say why."""
-        refused = SetParametersResult(successful=False, reason=reason)
-        self._node.add_on_set_parameters_callback(lambda _: refused)
+    def reject_changes(self, reason: str) -> None:
+        """Reject every change from now on."""
+        rejected = SetParametersResult(successful=False, reason=reason)
+        self._node.add_on_set_parameters_callback(lambda _: rejected)
 
     def _changed(self, parameters: Sequence[Parameter]) -> None:
         for parameter in parameters:

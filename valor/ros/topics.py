@@ -1,4 +1,4 @@
-"""Topics of a ROS graph: which of them whoever wants all may have, and the QoS with which to hear all publishers."""
+"""Topics of a ROS graph: visibility, and QoS of subscriptions that receive all publishers."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _OF_ACTIONS = ("feedback", "status")  # topics; goals, results and cancellations
 
 
 def shown(name: str, namespace: str = "") -> bool:
-    """Whether a topic is for others: no part of its name begins with ``_``, or it is an action's feedback or status.
+    """Return whether a topic is public: no part of its name begins with ``_``, or it is an action's feedback or status.
 
-    For those in a namespace, what stands in another is not; what is everybody's (``/tf``) stands in none.
+    In a namespace, topics of other namespaces are hidden; shared ones (``/tf``) have none.
     """
     if namespace and name.count("/") > 1 and not name.startswith(f"/{namespace}/"):
         return False
@@ -25,27 +25,27 @@ def shown(name: str, namespace: str = "") -> bool:
 
 
 def suiting(offered: Iterable[QoSProfile], depth: int) -> QoSProfile:
-    """The most that all publishers offer: reliable and transient-local only if every one of them is."""
+    """Strictest QoS that all publishers offer: reliable and transient-local only if every one is."""
     offered = list(offered)
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
-    kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if kept else DurabilityPolicy.VOLATILE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
 
 
 def asks_less(new: QoSProfile, old: QoSProfile) -> bool:
-    """Whether a subscription with ``old`` would not hear publishers that ``new`` suits."""
+    """Return whether a subscription with ``old`` is incompatible with publishers that ``new`` suits."""
     reliability = old.reliability == ReliabilityPolicy.RELIABLE != new.reliability
     durability = old.durability == DurabilityPolicy.TRANSIENT_LOCAL != new.durability
     return bool(reliability or durability)
 
 
 def qos_text(qos: QoSProfile) -> str:
-    """As rosbag2 writes it into the channel, so that a player offers the like."""
+    """Text of a channel's QoS as in rosbag2, for players."""
     unlimited = {"sec": 9223372036, "nsec": 854775807}
     profile = {
         "history": "keep_last",

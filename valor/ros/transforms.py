@@ -1,4 +1,4 @@
-"""``/tf``: the links of the robot under ``odom``, with REP-120's frames."""
+"""``/tf``: links of the robot under ``odom``, with REP-120's frames."""
 
 from __future__ import annotations
 
@@ -28,22 +28,17 @@ def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
-    """Vectors (…, 3) turned by quaternions (…, 4)."""
+    """Vectors (…, 3) rotated by quaternions (…, 4)."""
     return np.stack(rotation.rotate(_columns(q), _columns(v)), axis=-1)
 
 
 def _columns(array: FloatArray) -> Any:
-    """What is done to four or three numbers, is done to so many arrays of them."""
+    """Columns of an array, on which scalar formulas work as on numbers."""
     return np.moveaxis(array, -1, 0)
 
 
 class LinkTransforms:
-    """Every link in its parent's frame for given joint angles.
-
-    Attributes:
-        position: (k, 3) [m].
-        orientation: (k, 4).
-    """
+    """Transform of each link to its parent for given joint angles."""
 
     def __init__(self, tree: KinematicTree, robot: RobotDescription) -> None:
         links = tree.links
@@ -58,11 +53,11 @@ class LinkTransforms:
         self._turn[:, 0] = 1.0
         self._number = {link.name: i for i, link in enumerate(links)}
         self._parent = [link.parent for link in links]
-        self.position = self._offset.copy()
-        self.orientation = self._fixed.copy()
+        self.position = self._offset.copy()  # (k, 3) [m]
+        self.orientation = self._fixed.copy()  # (k, 4) (w, x, y, z)
 
     def update(self, joint_position: FloatArray) -> None:
-        """Take the angles of all joints of the robot (n,) [rad]."""
+        """Set the angles of all joints of the robot (n,) [rad]."""
         half = 0.5 * joint_position[self._joints]
         self._turn[self._moving, 0] = np.cos(half)
         self._turn[self._moving, 1:] = np.sin(half)[:, None] * self._axis[self._moving]
@@ -71,7 +66,7 @@ class LinkTransforms:
             self.position = self._offset + rotate(self._fixed, self._anchor) - rotate(self.orientation, self._anchor)
 
     def in_base(self, link: str, point: Vector) -> Vector:
-        """A point fixed to a link, in the base's frame [m]."""
+        """Point fixed to a link, in the base's frame [m]."""
         while (i := self._number.get(link)) is not None:
             point = _moved(self.position[i].tolist(), self.orientation[i].tolist(), point)
             link = self._parent[i]
@@ -79,13 +74,12 @@ class LinkTransforms:
 
 
 def _moved(position: Sequence[float], orientation: Quaternion, point: Vector) -> Vector:
-    """A point turned, then shifted. A few single points are quicker without NumPy."""
     a, b, c = rotation.rotate(orientation, point)
     return position[0] + a, position[1] + b, position[2] + c
 
 
 def _transform(parent: str, child: str, stamp: Time, numbers: Sequence[float]) -> TransformStamped:
-    """``numbers``: translation x, y, z and rotation x, y, z, w, as the message has them."""
+    """``numbers``: translation x, y, z and rotation x, y, z, w."""
     message = TransformStamped(child_frame_id=child)
     message.header.frame_id = parent
     message.header.stamp = stamp
@@ -96,59 +90,54 @@ def _transform(parent: str, child: str, stamp: Time, numbers: Sequence[float]) -
 
 
 def _numbers(position: Sequence[float], orientation: Sequence[float]) -> tuple[float, ...]:
-    """Of a position and a quaternion (w, x, y, z)."""
+    """Translation x, y, z and rotation x, y, z, w of a position and a quaternion (w, x, y, z)."""
     w, *vector = orientation
     return (*position, *vector, w)
 
 
 class TransformPublisher:
-    """Publishes the transforms; one message, written anew each time.
+    """Publishes the transforms in one prepared message.
 
     Attributes:
-        fixed: what does not move, for ``/tf_static``.
+        fixed: constant transforms, for ``/tf_static``.
     """
 
     def __init__(
         self, node: Node, tree: KinematicTree, robot: RobotDescription, stamp: Time, *, prefix: str = ""
     ) -> None:
-        """Prepare them.
-
-        Args:
-            node: the ROS node.
-            tree: links and frames.
-            robot: its description.
-            stamp: robot time, kept up to date by its owner.
-            prefix: of all frames' names.
-        """
+        """``stamp``: robot time, updated by its owner; ``prefix``: of all frames' names."""
         self._links = LinkTransforms(tree, robot)
         soles = {frame.target: (frame.link, frame.position) for frame in tree.frames}
         self._soles = [soles[robot.tables.feet.left.sole], soles[robot.tables.feet.right.sole]]
         base = tree.base_frame
 
-        edges = [(ODOM, base), (ODOM, FOOTPRINT)]
-        edges += [(base if link.parent == tree.base else link.parent, link.name) for link in tree.links]
+        def frame_name(link: str) -> str:
+            return prefix + (base if link == tree.base else link)
+
+        edges = [(prefix + ODOM, prefix + base), (prefix + ODOM, prefix + FOOTPRINT)]
+        edges += [(frame_name(link.parent), prefix + link.name) for link in tree.links]
         marks = [
-            _transform(prefix + parent, prefix + child, stamp_mark(), [mark(7 * i + j) for j in range(7)])
+            _transform(parent, child, stamp_mark(), [mark(7 * i + j) for j in range(7)])
             for i, (parent, child) in enumerate(edges)
         ]
         self._moving = PreparedPublisher(
-            node, ["/tf"], TFMessage(transforms=marks), 7 * len(edges), stamp=stamp, queue=100
+            node, "/tf", TFMessage(transforms=marks), 7 * len(edges), stamp=stamp, queue=100
         )
         self._rows = self._moving.values.reshape(-1, 7)
 
-        self.fixed: list[TransformStamped] = []
-        if base != tree.base:  # links keep the names of the model's bodies; the base has both
-            same = _numbers((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-            self.fixed.append(_transform(prefix + base, prefix + tree.base, Time(), same))
-        for frame in tree.frames:
-            parent, place = base if frame.link == tree.base else frame.link, _numbers(frame.position, frame.orientation)
-            self.fixed.append(_transform(prefix + parent, prefix + frame.name, Time(), place))
+        fixed = [(frame.link, frame.name, frame.position, frame.orientation) for frame in tree.frames]
+        if base != tree.base:  # links have the names of the model's bodies; the base has both names
+            fixed.insert(0, (tree.base, tree.base, (0.0, 0.0, 0.0), rotation.IDENTITY))
+        self.fixed: list[TransformStamped] = [
+            _transform(frame_name(link), prefix + name, Time(), _numbers(position, orientation))
+            for link, name, position, orientation in fixed
+        ]
 
     def publish(self, joint_position: FloatArray, base_position: FloatArray, base_orientation: FloatArray) -> None:
-        """Publish the transforms of joints (n,) and of the pelvis in odom: (3,), (4,)."""
+        """Publish the transforms of joints (n,) [rad] and of the pelvis in odom: (3,) [m], (4,) (w, x, y, z)."""
         links, rows = self._links, self._rows
         links.update(joint_position)
-        position, orientation = base_position.tolist(), base_orientation.tolist()
+        position, orientation = base_position.tolist(), base_orientation.tolist()  # faster than NumPy's scalars
         left, right = (_moved(position, orientation, links.in_base(link, point)) for link, point in self._soles)
         middle = (0.5 * (left[0] + right[0]), 0.5 * (left[1] + right[1]), min(left[2], right[2]))
         rows[0] = _numbers(position, orientation)

@@ -1,4 +1,4 @@
 """The simulated robot: MuJoCo's physics, motors and sensors with the imperfections of ``robot.yaml``.
 
-Whoever runs it keeps its time. It stands in for the devices, so no controller may import it.
+Its caller advances its time. It replaces the devices: no controller may import it.
 """

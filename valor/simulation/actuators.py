@@ -1,25 +1,56 @@
-"""What the motors make of a Motor: the law of each joint mode, and the imperfections of an actuator profile."""
+"""Motors of the simulated robot: control law of each joint mode, and imperfections of an actuator profile."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
 from valor.robot.description import RobotDescription
-from valor.robot.tables import ActuatorProfile
-from valor.simulation.gears import Gears
+from valor.robot.tables import ActuatorProfile, Gear
+
+
+@dataclass(frozen=True)
+class Gears:
+    """Gears of all joints; (n,) each."""
+
+    friction: FloatArray  # Coulomb, at the joint [N·m]
+    sticks: npt.NDArray[np.bool_]  # the friction is of the joint's own gear, and holds it at rest
+    half_backlash: FloatArray  # motion to either side before the motor's stiffness acts [rad]
+    feed_forward: FloatArray  # 1 if the device applies Motor's effort, 0 if only position and velocity
+    strength: FloatArray  # fraction of the motor's torque at the joint, 0 to 1
+
+    @classmethod
+    def of(cls, robot: RobotDescription, profile: ActuatorProfile) -> Self:
+        """Gears of a profile: the joint's values, else its group's, else the common ones."""
+        groups = {joint: group for group, joints in robot.tables.groups.items() for joint in joints}
+        common = Gear()
+        gears = [
+            profile.gears.get(joint) or profile.gears.get(groups.get(joint, "")) or common for joint in robot.joints
+        ]
+        friction = np.minimum(profile.friction, profile.friction_share * robot.effort_limit)
+        sticks = np.array([gear.friction is not None for gear in gears])
+        friction[sticks] = [gear.friction for gear in gears if gear.friction is not None]
+        return cls(
+            friction,
+            sticks,
+            np.array([0.5 * (profile.backlash if gear.backlash is None else gear.backlash) for gear in gears]),
+            np.array([float(gear.feed_forward) for gear in gears]),
+            np.array([gear.strength for gear in gears]),
+        )
 
 
 @dataclass(frozen=True)
 class JointCommand:
     """A Motor, its modes resolved: effort + stiffness·(position − q) + damping·(velocity − q̇), arrays of (n,)."""
 
-    sequence: int  # of the Motor; that of the last one while the joints are held
+    sequence: int  # of the Motor; of the last one while the joints are held
     position: FloatArray
     velocity: FloatArray
     effort: FloatArray
@@ -28,22 +59,22 @@ class JointCommand:
 
 
 class Actuators:
-    """The motors of all joints, in physics steps.
+    """Motors of all joints, in physics steps.
 
     Commands act after the profile's delay. Then, each step::
 
         e = backlash(q* − q)                      dead zone
         u = effort + kp·e + kd·(q̇* − q̇)          gains by mode: none, servo, commanded, commanded damping;
-                                                  no effort where the device does not take any
-        u = clip(u, ±effort limit), and none that speeds a joint up beyond its velocity limit
-        u ← strength·u                            a motor that is not what it was
+                                                  effort only if the device applies it
+        u = clip(u, ±effort limit), 0 if it accelerates a joint above its velocity limit
+        u ← strength·u                            a weakened motor
         τ ← τ + (1 − exp(−dt/T))·(u − τ)          first-order lag of time constant T
 
-    Coulomb friction belongs to the plant, where MuJoCo solves for it.
+    Coulomb friction is part of the plant, where MuJoCo solves for it.
 
     Attributes:
-        effort: (n,) what acts on the joints [N·m].
-        motor_sequence: of the Motor that acts; 0: none yet.
+        effort: (n,) acting on the joints [N·m].
+        motor_sequence: of the active Motor; 0 before the first.
     """
 
     def __init__(self, robot: RobotDescription, profile: ActuatorProfile, step: float) -> None:
@@ -66,12 +97,11 @@ class Actuators:
 
     @property
     def motor_sequence(self) -> int:
-        """Sequence of the Motor that acts; 0: none yet."""
         return self._command.sequence
 
     def obey(self, motor: Motor) -> None:
-        """Hand a sound Motor to the motors; set-points beyond the joints' limits are clamped."""
-        if motor.mode.tobytes() != self._modes:  # they seldom change
+        """Apply a valid Motor; set-points are clamped to the joints' limits."""
+        if motor.mode.tobytes() != self._modes:  # which rarely change
             self._modes = motor.mode.tobytes()
             position, impedance, force = (
                 (motor.mode == mode).astype(np.float64)
@@ -95,9 +125,9 @@ class Actuators:
         )
 
     def hold(self, position: FloatArray, effort: FloatArray | None = None) -> None:
-        """Hold the joints at a (n,) position [rad] on their own servos, beside a (n,) effort [N·m] that goes on.
+        """Hold the joints at a (n,) position [rad] with their servos and a constant (n,) effort [N·m].
 
-        Without the effort that carried it, a joint sags until its servo carries as much.
+        Without the effort of its load, a joint sags until its servo carries the load.
         """
         last = self._waiting[-1][1] if self._waiting else self._command
         zero = np.zeros_like(position)
@@ -113,7 +143,7 @@ class Actuators:
         )
 
     def update(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """One physics step: the (n,) effort [N·m] at joint position [rad] and velocity [rad/s]."""
+        """Process one physics step; returns the (n,) effort [N·m] at joint position [rad] and velocity [rad/s]."""
         while self._waiting and self._waiting[0][0] <= self._step:
             self._command = self._waiting.popleft()[1]
         self._step += 1

@@ -12,12 +12,12 @@ from valor.common.arrays import FloatArray
 
 
 def triangles(model: mujoco.MjModel, field: int, fine: float = 0.0) -> tuple[FloatArray, npt.NDArray[Any]]:
-    """Two triangles a square of the grid, seen from above anticlockwise.
+    """Two triangles per cell of the grid, counterclockwise from above.
 
     Args:
-        model: that has the field.
+        model: with the field.
         field: its number.
-        fine: between two points of which each is drawn, at least; the grid's own if it is coarser [m].
+        fine: smallest spacing of the vertices; the grid's own if it is coarser [m].
 
     Returns:
         (v, 3) vertices in the frame of the field's geom [m], and (f, 3) faces.

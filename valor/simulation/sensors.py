@@ -1,4 +1,4 @@
-"""What the simulated devices report of the plant: encoders, IMU, force-torque sensors, with noise from one seed."""
+"""Simulated encoders, IMU and force/torque sensors, with noise from one seed."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ BATTERY_VOLTAGE = 48.0  # the simulated battery does not drain [V]
 
 
 class Sensors:
-    """All sensors; ``measure`` reads each once.
+    """All sensors.
 
-    Positions and velocities are those of the instant; accelerations and forces those of the physics step that led to
-    it. True values and noise stand in one vector each, so that one addition makes the measurement::
+    Positions and velocities are those of the present instant, accelerations and forces those of the last physics step.
+    True values and noise are one vector each::
 
         joint position | velocity | effort | gyroscope | accelerometer | 4 wrenches | attitude error
               n             n         n          3             3             24             3
@@ -56,7 +56,6 @@ class Sensors:
         self._truth[-3:-1] = self._rng.standard_normal(2) * noise.orientation_bias  # roll and pitch
 
     def measure(self, sequence: int, time: int) -> Proprioceptor:
-        """The Proprioceptor of that sequence at that robot time [ns]."""
         plant, n, truth = self._plant, self._n, self._truth
         model, data = plant.model, plant.data
         mujoco.mj_rnePostConstraint(model.mj, data)
@@ -95,7 +94,7 @@ class Sensors:
         )
 
     def _orientation(self, error: FloatArray) -> FloatArray:
-        """(4,) the IMU's attitude in world, turned by a small rotation vector (3,) in the IMU's frame [rad]."""
+        """(4,) attitude of the IMU in world, rotated by a small rotation vector (3,) in the IMU's frame [rad]."""
         orientation = np.empty(4)
         mujoco.mju_mulQuat(orientation, self._base_orientation, self._imu_in_base)
         mujoco.mju_quatIntegrate(orientation, error, 1.0)
@@ -103,23 +102,20 @@ class Sensors:
 
 
 class WrenchSensors:
-    """Force-torque sensors that report what the world does to a body and all that hangs on it, in a site's frame.
+    """Force/torque sensors: external wrench on a body and all its descendants, in a site's frame.
 
-    Real ones sit between the link and the rest and feel its weight too; their drivers take it out again. A sensor that
-    the robot has not feels nothing, nor noise.
-
-    Attributes:
-        places: body and site of each sensor, m of them; None: the robot has it not.
+    Real sensors also measure the weight of these bodies; their drivers subtract it. A missing sensor measures 0,
+    without noise.
     """
 
     def __init__(self, plant: Plant, places: list[tuple[str, str] | None]) -> None:
         mj, data = plant.model.mj, plant.data
-        self.places = places
+        self.places = places  # body and site of each of m sensors; None: missing
         self._forces = data.cfrc_ext  # (nbody, 6) torque and force in world axes, about the robot's CoM
-        self._sum = np.zeros((len(places), mj.nbody))  # which bodies each sensor carries
+        self._sum = np.zeros((len(places), mj.nbody))  # bodies that each sensor carries
         self._sites = []
         for row, names in enumerate(places):
-            place = 0  # a site that nothing is felt at
+            place = 0
             if names is not None:
                 top, place = plant.model.body(names[0]), plant.model.site(names[1])
                 self._sum[row] = [_carries(mj, top, b) for b in range(mj.nbody)]
@@ -128,7 +124,7 @@ class WrenchSensors:
         self._in_site = np.zeros((len(places), 6))
 
     def measure(self) -> FloatArray:
-        """(m, 6) force [N] and torque [N·m] at the sites, in their axes; after ``mj_rnePostConstraint``."""
+        """(m, 6) force [N] and torque [N·m] at the sites, in their axes; call after ``mj_rnePostConstraint``."""
         about_com = self._sum @ self._forces
         for (position, axes), wrench, in_site in zip(self._sites, about_com, self._in_site, strict=True):
             mujoco.mju_transformSpatial(in_site, wrench, 1, position, self._com, axes)

@@ -1,13 +1,6 @@
-"""``valorctl``: the command line's entry point and its exit status.
+"""Entry point of ``valorctl`` and its exit status."""
 
-Until ``main`` has begun Ctrl-C would end in a traceback; so it ends without a word until then, as by other signals.
-"""
-
-# No `from __future__`: it would look for a file before Ctrl-C is seen to.
-import _signal  # type: ignore[import-not-found]  # loaded with the interpreter
-
-if _signal.getsignal(_signal.SIGINT) is not _signal.SIG_IGN:  # as under nohup
-    _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
+from __future__ import annotations
 
 import contextlib
 import gc
@@ -16,49 +9,47 @@ import signal
 import sys
 
 EXIT_FAILURE = 1
-STOP_NICE = -5  # as the VRC's on hardware
+STOP_NICE = -5  # niceness of ``stop``, that of the Valor ROS Controller on hardware
 
 
 def main() -> int:
-    """Run the command line as a process of its own; what ``run`` says, and a signal at any moment ends it in one line.
+    """Run the command line as a process: see ``run``. A signal ends the process at once with one line.
 
-    Where something must be put in order first, ``interruption`` takes over.
+    A verb that must finish a change first replaces the signal handlers by an ``Interruption``.
     """
     for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(signum) is not signal.SIG_IGN:  # as under nohup
+        if signal.getsignal(signum) is not signal.SIG_IGN:  # ignored under nohup
             signal.signal(signum, _end)
     try:
         return run()
     finally:
-        gc.freeze()  # what is left ends with the process: to look through it for cycles takes longer than some verbs
+        gc.freeze()  # the collection at exit takes longer than some verbs
 
 
 def _end(signum: int, _frame: object) -> None:
-    """End here and now: an exception would surface wherever an import or a library's callback happens to be."""
+    """End the process here: an exception would surface in an import or in a library's callback."""
     name = signal.Signals(signum).name
-    clear = "\r\033[K\033[?25h" if os.isatty(2) else ""  # the line that told of progress, and the cursor again
+    clear = "\r\033[K\033[?25h" if os.isatty(2) else ""  # removes the progress line and shows the cursor
     os.write(2, f"{clear}valorctl: interrupted by {name}\n".encode())
     os._exit(128 + signum)
 
 
 def run() -> int:
-    """Run the command line.
-
-    Returns:
-        0 when the thing was done and verified, 1 when not, 128 and the signal's number when interrupted. A wrong
-        command line exits with 2.
-    """
-    # `import mujoco` looks for the platform that this names, and fails where it is absent. Only pictures need one, and
-    # they find their own.
+    """Run the command line; returns 0, or 1 after a failure, or 128 plus the number of the signal."""
+    # `import mujoco` fails where the platform named by this variable is absent. Only pictures need a platform, and
+    # they choose one themselves.
     if os.environ.get("MUJOCO_GL") != "osmesa":
         os.environ["MUJOCO_GL"] = "disable"
+    if "stop" in sys.argv:
+        with contextlib.suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, STOP_NICE)
 
     from valor.common.errors import ValorError
-    from valor.valorctl.console import complain
-    from valor.valorctl.interruption import InterruptedBySignalError
+    from valor.valorctl.terminal.app import app
+    from valor.valorctl.terminal.console import InterruptedBySignalError, complain
 
     try:
-        _obey(sys.argv[1:])
+        app()
     except InterruptedBySignalError as error:
         complain(str(error))
         return error.exit_status
@@ -66,42 +57,15 @@ def run() -> int:
         complain(str(error))
         return EXIT_FAILURE
     except Exception as error:
-        # Bifrost takes long to import: whatever it raised, it has been imported.
-        if (bifrost := sys.modules.get("bifrost")) and isinstance(error, bifrost.Error):
-            from valor.common.instance import Instance
+        bifrost = sys.modules.get("bifrost")  # imported already, if it raised the error
+        if bifrost is None or not isinstance(error, bifrost.Error):
+            raise
+        from valor.common.instance import Instance
 
-            instance = Instance.from_environment()
-            complain(str(error) if instance.settings_file.exists() else instance.not_up)
-            return EXIT_FAILURE
-        raise
+        instance = Instance.from_environment()
+        complain(str(error) if instance.settings_file.exists() else instance.not_up)
+        return EXIT_FAILURE
     return 0
-
-
-def _obey(arguments: list[str]) -> None:
-    """Do what a command line says; what is asked most urgently, or most often, waits for no other verb's imports.
-
-    A stop does not wait for its turn, either, if that is granted.
-    """
-    if "stop" in arguments:
-        with contextlib.suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, 0, STOP_NICE)
-        from valor.valorctl import stopping
-
-        if plain := stopping.command_line(arguments):
-            stopping.run(*plain)
-            return
-    if "status" in arguments:
-        from valor.valorctl.plain_command import plain_command
-
-        if asked := plain_command(arguments, "status", ("--json",)):
-            from valor.valorctl import watch
-
-            instance, options = asked
-            watch.run(instance, "--json" in options)
-            return
-    from valor.valorctl.app import app
-
-    app()
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""The Whole-Body Controller: torques and set-points that balance the robot (thesis 3.4.2).
+"""Whole-Body Controller: torques and set-points that balance the robot (thesis 3.4.2).
 
-Each control period: the reference of standing goes on; the DCM law turns the DCM's error into the CoM's acceleration;
-orientation, foot and posture tasks say what else is wanted; the QP finds contact forces and joint accelerations; the
-inverse dynamics gives torques; joints that are not driven by force get set-points that integrate the accelerations.
+Each control period: the standing reference advances; the DCM law converts the DCM error to a CoM acceleration; tasks
+define the other desired accelerations; the QP solves for contact forces and joint accelerations; inverse dynamics gives
+torques; joints not driven by force get set-points that integrate the accelerations.
 """
 
 from __future__ import annotations
@@ -15,117 +15,97 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.whole_body.balance.dcm import DcmLaw
+from valor.whole_body.balance.fall import BalanceWatch
 from valor.whole_body.balance.pelvis import PelvisReference
-from valor.whole_body.constraints.contact import FootContacts
-from valor.whole_body.constraints.joint_limits import JointLimits
-from valor.whole_body.constraints.self_collision import SelfCollision
-from valor.whole_body.constraints.torque_limits import TorqueLimits
-from valor.whole_body.model.arms import UpperBodyKinematics
-from valor.whole_body.model.dynamics import ModelJoints
+from valor.whole_body.balance.reference import DcmLaw
+from valor.whole_body.constraints import FootContacts, JointLimits, SelfCollision, TorqueLimits
+from valor.whole_body.desired import DesiredAccelerations
+from valor.whole_body.model.dynamics import ModelJoints, UpperBodyKinematics
 from valor.whole_body.model.motion import FEET
-from valor.whole_body.set_points import SetPoints
+from valor.whole_body.motor_command import SetPoints
 from valor.whole_body.solver.elimination import UnsolvableError
-from valor.whole_body.solver.objective import Objective
-from valor.whole_body.solver.qp import Bounds, ContactForceQp, Solution
+from valor.whole_body.solver.qp import Bounds, ContactForceQp, Objective
 from valor.whole_body.state import QpStatus, RobotState, UpperBodyReference, WholeBodyCommand
-from valor.whole_body.tasks.desired import DesiredAccelerations
-from valor.whole_body.tasks.table import TASKS, WEIGHTS, motions, nominal_weights
-from valor.whole_body.tasks.weights import TaskWeights
+from valor.whole_body.tasks import TASKS, WEIGHTS, TaskWeights, motions, nominal_weights
 from valor.whole_body.tuning_tables import Tuning, WholeBody
-from valor.whole_body.walking.footsteps import StepSource
+from valor.whole_body.walking.footsteps import RecoverySteps, StepSource
 from valor.whole_body.walking.gait import Gait
-from valor.whole_body.walking.recovery import BalanceWatch, RecoverySteps
 
 _log = logging.getLogger(__name__)
 
 
 class WholeBodyController:
-    """Standing and stepping, with set-points for waist and arms.
-
-    Attributes:
-        step_source: where steps come from; None: the robot stands. A gait ends with the source it began with.
-        may_recover: whether the robot may step on its own accord, when its feet alone cannot hold it.
-        watch: when it did, and why.
-        pelvis: where the pelvis shall be, led from outside.
-        weights: of the tasks.
-        integral: (3,) of the DCM law [m]: what the model has wrong.
-        qp_failures: periods without a solution since the controller was made.
-    """
+    """Standing and stepping, with set-points for waist and arms."""
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
         table = robot.read(Tuning).whole_body
         joints = ModelJoints(model)
         self._table = table
         self._joints = joints
-        self._count = len(robot.joints)
         self._effort_limit = robot.effort_limit
         self._servo_damping = robot.servo_damping
-        self._lower, self._upper = robot.lower[joints.places], robot.upper[joints.places]
         self._upper_body = UpperBodyKinematics(model)
         gravity = -float(model.mj.opt.gravity[2])
         omega = DcmLaw.natural_frequency(self._upper_body.nominal_com_height, gravity)
         law = _law(table, omega, gravity)
-        legs = joints.group("left_leg", "right_leg")
-        self.pelvis = PelvisReference(model, legs)
+        self.pelvis = PelvisReference(model, joints.group("left_leg", "right_leg"))  # commanded pelvis pose
         self._set_points = SetPoints(robot, joints)
         tasks, motions_of_tasks = [task(robot) for task in TASKS], motions(model)
         limits = JointLimits(robot, table, joints.places)
         self._desired = DesiredAccelerations(
             robot,
             joints,
-            tasks=tasks,
+            tasks,
             motions=motions_of_tasks,
             limits=limits,
             law=law,
             upper_body=self._upper_body,
             pelvis=self.pelvis,
-            legs=legs.tolist(),
             set_points=self._set_points,
         )
         self._objective = Objective(tasks, motions_of_tasks, joints)
         self.weights = TaskWeights(nominal_weights(table), robot.tables.weight_factor, robot.control_period)
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * gravity
-        self._swung: int | None = None  # the foot that the objective knows to swing
-        self.step_source: StepSource | None = None
-        self.may_recover = True
-        self.watch = BalanceWatch(robot)
+        self._swung: int | None = None  # swing foot in the objective
+        self.step_source: StepSource | None = None  # used from the start of a gait to its end; None: stands
+        self.may_recover = True  # whether the robot may step automatically to keep its balance
+        self.watch = BalanceWatch(robot)  # trigger of such steps, with its reason
         self._recovers = robot.read(Tuning).disturbance.step_when_standing
         self._recovery = RecoverySteps(robot)
         self._contacts = FootContacts(robot, model.mj.nv)
         effort: FloatArray = robot.effort_limit[joints.places]
-        self._joint_bounds = Bounds(  # without those of parts that are near
+        self._joint_bounds = Bounds(  # without self-collision
             np.concatenate((-effort, np.zeros(joints.count))), np.concatenate((effort, np.zeros(joints.count)))
         )
         self._soles = motions_of_tasks.rows[FEET]
-        self._collision = SelfCollision(model)
+        self.collision = SelfCollision(model)  # its ``rows`` are the pairs of bodies near each other
         self._load = (1.0, 1.0)
         self._qp = ContactForceQp(
             self._contacts.count, joints.count, (TorqueLimits(model.mj.dof_damping[6:].copy()), limits)
         )
-        self._effort = np.zeros(self._count)  # last feasible
+        self._effort = np.zeros(len(robot.joints))  # last feasible
         self._forces = np.zeros(2)
-        self.qp_failures = 0
+        self.qp_failures = 0  # periods without a solution since construction
         self._weigh(None)
 
     @property
     def stepping(self) -> bool:
-        """Whether the robot is not at rest on both feet, but between steps."""
+        """True if a gait is active, from the first transfer of weight to rest."""
         return self._gait.active
 
     @property
     def swinging(self) -> int | None:
-        """The foot in the air, or None."""
+        """Foot in the air, or None."""
         return self._gait.swinging
 
     @property
     def recovering(self) -> bool:
-        """Whether the robot takes steps that nobody asked for, to keep its balance."""
+        """True if the robot takes automatic steps to keep its balance."""
         return self._gait.active and self._gait.source is self._recovery
 
     def footholds(self, state: RobotState) -> tuple[FloatArray, FloatArray] | None:
-        """(2, 3) and (2, 3, 3) of the soles where they stand or will come down; None: they stand."""
+        """(2, 3) positions [m] and (2, 3, 3) rotations of soles after the step under way; None if both stand."""
         foot, foothold = self._gait.stepping, self._gait.foothold
         if foot is None or foothold is None:
             return None
@@ -133,18 +113,8 @@ class WholeBodyController:
         positions[foot], rotations[foot] = foothold.position, foothold.rotation
         return positions, rotations
 
-    @property
-    def near_pairs(self) -> int:
-        """How many pairs of the robot's parts are so near that they are kept apart."""
-        return self._collision.rows
-
-    @property
-    def integral(self) -> FloatArray:
-        """(3,) of the DCM law [m]."""
-        return self._desired.integral
-
     def reset(self, state: RobotState) -> None:
-        """Begin to stand from ``state`` without a jump: references start there and go to nominal."""
+        """Start to stand from ``state`` without a jump: references start there and blend to nominal."""
         position = state.joint_position[self._joints.places].copy()
         self._upper_body.update(position)
         self.weights.reset()
@@ -156,24 +126,18 @@ class WholeBodyController:
         self._forces = state.foot_forces.copy()
 
     def catch(self, state: RobotState) -> None:
-        """After ``reset``: a foot that is found in the air comes down where the DCM needs it, and the robot stands."""
+        """After ``reset``: lower a foot in the air where the DCM needs it, then stand."""
         foot = int(state.foot_forces.argmin())
         if not state.contacts[foot]:
             self._gait.catch(state, self._recovery, foot, state.dcm_in_odom - self._desired.shift)
 
     def leave(self) -> None:
-        """Somebody else has the legs: what had begun is forgotten."""
+        """End control of the legs: discard the gait and its source."""
         self._gait.stop()
         self.step_source = None
 
     def update(self, state: RobotState, reference: UpperBodyReference, dt: float) -> WholeBodyCommand:
-        """One control period.
-
-        Args:
-            state: the estimate; its ``dynamics`` are at it.
-            reference: of waist and arms.
-            dt: since the last period [s].
-        """
+        """Compute one control period of ``dt`` [s], from the estimate and the reference of waist and arms."""
         dynamics, desired, objective = state.dynamics, self._desired, self._objective
         self._upper_body.update(reference.position[self._joints.places])
         self.pelvis.advance(1e-9 * state.time, dt)
@@ -189,10 +153,12 @@ class WholeBodyController:
             solution = self._qp.solve(objective, dynamics, self._contacts.forces, bounds)
         except UnsolvableError as error:
             return self._last_feasible(state, str(error))
-        return self._command(state, solution, dt)
+        self._forces = self._contacts.vertical_forces(solution.rho)
+        command = self._command(state, solution.acceleration, solution.torque, dt, solution.status)
+        self._effort = command.effort
+        return command
 
     def _step(self, state: RobotState, dt: float) -> None:
-        """Let the gait go on, or begin if there are steps to take."""
         gait, reference = self._gait, self._desired
         if self._recovers and self.may_recover and gait.resting and self.watch.update(state, reference.dcm):
             self.pelvis.go_home()
@@ -211,40 +177,34 @@ class WholeBodyController:
         self._objective.weigh(dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True)), swinging)
 
     def _bounds(self, state: RobotState) -> Bounds:
-        """Those of the joints, and those of parts of the robot that are near each other."""
         own, desired, n = self._joint_bounds, self._desired, self._joints.count
         own.lower[n:], own.upper[n:] = desired.lower, desired.upper
-        limit = self._collision.update(state.dynamics, desired.velocity, state.time)
+        limit = self.collision.update(state.dynamics, desired.velocity, state.time)
         if limit is None:
             return own
-        lower = self._collision.lower
+        lower = self.collision.lower
         unbounded = np.full(lower.size, np.inf)
         return Bounds(np.concatenate((own.lower, lower)), np.concatenate((own.upper, unbounded)), limit)
 
-    def _command(self, state: RobotState, solution: Solution, dt: float) -> WholeBodyCommand:
-        told = self._set_points.advance(solution.acceleration, solution.torque, state.joint_position, dt)
-        self._effort = told[0]
-        self._forces = self._contacts.vertical_forces(solution.rho)
-        return self._tell(told, solution.status)
-
     def _last_feasible(self, state: RobotState, reason: str) -> WholeBodyCommand:
-        """The last feasible torques, with the joints' motion damped and the set-points standing still."""
         if self.qp_failures == 0:
-            _log.warning("whole-body QP not solved (%s); going on with the last torques, damped", reason)
+            _log.warning("whole-body QP not solved (%s); repeating the last torques, with damping", reason)
         self.qp_failures += 1
         places, joints = self._joints.places, self._joints.count
         damped = self._effort[places] - self._servo_damping[places] * state.joint_velocity[places]
         limit = self._effort_limit[places]
         torque = np.nan_to_num(np.clip(damped, -limit, limit))
         self._set_points.velocity[:] = 0.0
-        told = self._set_points.advance(np.zeros(6 + joints), torque, state.joint_position, 0.0)
-        return self._tell(told, QpStatus.INFEASIBLE)
+        return self._command(state, np.zeros(6 + joints), torque, 0.0, QpStatus.INFEASIBLE)
 
-    def _tell(self, told: tuple[FloatArray, FloatArray, FloatArray, FloatArray], status: QpStatus) -> WholeBodyCommand:
-        effort, acceleration, position, velocity = told
+    def _command(
+        self, state: RobotState, acceleration: FloatArray, torque: FloatArray, dt: float, status: QpStatus
+    ) -> WholeBodyCommand:
+        outputs = self._set_points.advance(acceleration, torque, state.joint_position, dt)
+        effort, joint_acceleration, position, velocity = outputs
         return WholeBodyCommand(
             effort=effort,
-            acceleration=acceleration,
+            acceleration=joint_acceleration,
             position=position,
             velocity=velocity,
             dcm_reference_in_odom=self._desired.dcm,

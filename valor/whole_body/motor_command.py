@@ -1,4 +1,4 @@
-"""One command for every motor: what it is made of in each kind of control, and the last check before it leaves."""
+"""Joint commands of the Whole-Body Controller, and the Motor of a control period with its last check."""
 
 from __future__ import annotations
 
@@ -18,14 +18,72 @@ from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
 from valor.robot.tables import WHOLE_BODY_GROUPS
+from valor.whole_body.model.dynamics import ModelJoints
 from valor.whole_body.state import WholeBodyCommand
+
+
+class SetPoints:
+    """Set-points of the joints that are not driven by force: they integrate the accelerations (thesis 3.4.2)."""
+
+    def __init__(self, robot: RobotDescription, joints: ModelJoints) -> None:
+        nj, n = joints.count, len(robot.joints)
+        self._indices, self._joints = joints.indices, n
+        self.integrated = np.array([robot.tables.joints[name].control != "force" for name in joints.names])
+        self._lower, self._upper = robot.lower[joints.places], robot.upper[joints.places]
+        self._now = np.zeros((2, nj))
+        self.position, self.velocity = self._now  # (nj,) of the model's joints [rad, rad/s]
+        self._solved = np.zeros(6 + 2 * nj + n)
+        self._dt = np.zeros(1)
+        self._next = np.zeros((2, nj))
+        self._sent = np.zeros((4, n))
+        self._integrate = Kernel(
+            "set_points",
+            self._expressions,
+            (self._solved, self._dt, self.position, self.velocity),
+            (self._next, self._sent),
+        )
+
+    def reset(self, position: FloatArray) -> None:
+        """Start at rest at (nj,) ``position`` [rad], clamped to the limits."""
+        self.position[:] = np.clip(position, self._lower, self._upper)
+        self.velocity[:] = 0.0
+
+    def advance(
+        self, acceleration: FloatArray, torque: FloatArray, measured: FloatArray, dt: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Integrate (nv,) accelerations over ``dt`` [s], with (nj,) torques [N·m] and (n,) measured positions [rad].
+
+        Returns (n,) efforts [N·m] and accelerations [rad/s²], zero outside the model, and (n,) set-points of position
+        and velocity [rad, rad/s], the measured position and zero for joints without set-points.
+        """
+        np.concatenate((acceleration, torque, measured), out=self._solved)
+        self._dt[0] = dt
+        self._integrate()
+        self._now[:] = self._next
+        effort, joint_acceleration, position, velocity = self._sent.copy()
+        return effort, joint_acceleration, position, velocity
+
+    def _expressions(
+        self, solved: Expression, dt: Expression, position: Expression, velocity: Expression
+    ) -> Sequence[Expression]:
+        nj = position.shape[0]
+        accelerations, torques, measured = solved[6 : 6 + nj], solved[6 + nj : 6 + 2 * nj], solved[6 + 2 * nj :]
+        velocity = velocity + accelerations * dt
+        position = clipped(position + velocity * dt, ca.DM(self._lower), ca.DM(self._upper))
+        sent = [ca.SX(self._joints, 1), ca.SX(self._joints, 1), ca.SX(measured), ca.SX(self._joints, 1)]
+        led = np.flatnonzero(self.integrated).tolist()
+        places = [self._indices[joint] for joint in led]
+        sent[0][self._indices], sent[1][self._indices] = torques, accelerations
+        sent[2][places], sent[3][places] = position[led], velocity[led]
+        return ca.horzcat(position, velocity).T, ca.horzcat(*sent).T
+
 
 Modes = npt.NDArray[np.uint8]  # (n,) of JointMode
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """How the motors are driven, (n,) each."""
+    """Mode and gains of the motors, (n,) each."""
 
     mode: Modes
     stiffness: FloatArray  # [N·m/rad]
@@ -33,17 +91,10 @@ class Drive:
 
 
 class MotorCommand:
-    """The vectors of a Motor, (n,) each, filled anew every period by one of the methods below.
+    """Vectors of a Motor, (n,) each, written every period by one of the methods below.
 
-    Force-controlled and impedance-controlled joints are *compliant*; the rest have a position servo of their own. Those
-    of them that the Whole-Body Controller moves get the set-points that it integrates (thesis 3.4.2).
-
-    Attributes:
-        force: which joints are driven by force alone in operation.
-        impedance: which are driven by impedance.
-        saturations: joint commands at or beyond an effort limit, since start.
-        replaced: commands that were not finite and were replaced by the last good one, since start.
-        wanted: where joints shall be: ``position`` without what makes up for what their servos leave undone [rad].
+    Force-controlled and impedance-controlled joints are *compliant*; the others have a position servo. Joints moved by
+    the Whole-Body Controller get the set-points that it integrates (thesis 3.4.2).
     """
 
     def __init__(self, robot: RobotDescription) -> None:
@@ -53,7 +104,7 @@ class MotorCommand:
         self.impedance: Joints = control == "impedance"
         self._compliant: Joints = self.force | self.impedance
         moved = [robot.index[name] for group in WHOLE_BODY_GROUPS for name in robot.tables.group(group)]
-        self._led: Joints = self._compliant.copy()  # by the Whole-Body Controller
+        self._led: Joints = self._compliant.copy()  # of the Whole-Body Controller
         self._led[moved] = True
         self._limits = CommandedLimits.of_joints(robot)
         self._began = monotonic_ns()
@@ -69,29 +120,29 @@ class MotorCommand:
         self._zeros = nothing
         self._asked, self._checked, self._checks = np.zeros((6, n)), np.zeros((4, n)), np.zeros(2)
         self._check = Kernel("command", self._expressions, (self._asked,), (self._checked, self._checks))
-        self.saturations = 0
-        self.replaced = 0
+        self.saturations = 0  # joint commands at or above an effort limit, since start
+        self.replaced = 0  # commands that were not finite, replaced by the last valid one, since start
         self.drive = self._limp
         self.velocity = self.effort = nothing
         self.position: FloatArray = self._limits.position_within(nothing)
-        self.wanted = self.position
+        self.wanted = self.position  # desired positions [rad]: ``position`` without the servos' compensation
 
     def _modes(self, force: JointMode, impedance: JointMode, position: JointMode) -> Modes:
-        """(n,) one mode for each way that joints are driven in operation."""
+        """(n,) modes, from one mode for each kind of control."""
         return np.where(self.force, force, np.where(self.impedance, impedance, position)).astype(np.uint8)
 
     def set_gains(self, stiffness: FloatArray, damping: FloatArray) -> None:
-        """Gains (n,) of the joints driven by impedance in operation [N·m/rad, N·m·s/rad]."""
+        """Set the gains (n,) of the joints driven by impedance in operation [N·m/rad, N·m·s/rad]."""
         self._operation = Drive(
             self._operation.mode, np.where(self.force, 0.0, stiffness), np.where(self.force, 0.0, damping)
         )
 
     def limp(self, measured: FloatArray) -> None:
-        """No effort, only damping against motion; joints with a position servo of their own are off."""
+        """Command no effort, only damping; joints with a position servo are off."""
         self._set(self._limp, measured, self._zeros, self._zeros)
 
     def hold(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> None:
-        """Every joint by its servo gains, around a reference and an effort [rad, rad/s, N·m]."""
+        """Command every joint by its servo gains, around a reference and an effort [rad, rad/s, N·m]."""
         self._set(self._servo, position, velocity, effort)
 
     def balance(
@@ -104,17 +155,10 @@ class MotorCommand:
         *,
         offsets: FloatArray | None = None,
     ) -> None:
-        """The Whole-Body Controller's command, which takes over from ``hold`` bit by bit.
+        """Command the Whole-Body Controller's output with weight ``share``, blended with ``hold`` without a jump.
 
-        The torque of a joint goes linearly from one to the other, so that it does not jump at either end.
-
-        Args:
-            command: what the Whole-Body Controller wants.
-            position: (n,) the reference that ``hold`` had, and that joints which it does not move go on with [rad].
-            velocity: (n,) likewise [rad/s].
-            effort: (n,) likewise [N·m].
-            share: of the Whole-Body Controller, 0 to 1.
-            offsets: (n,) to the Whole-Body Controller's set-points, that make up for the servos [rad]; None: none.
+        (n,) position, velocity and effort are those of ``hold``, and of joints that the controller does not move. (n,)
+        ``offsets`` compensate the servos: they are added to the controller's set-points [rad].
         """
         drive = self._operation
         offsets = self._zeros if offsets is None else offsets
@@ -134,7 +178,7 @@ class MotorCommand:
         self._set(drive, position, velocity, compliant_effort, (led_position, led_velocity, offsets))
 
     def repeat(self) -> None:
-        """The last command once more, at rest and with damping: for a period without a better one."""
+        """Repeat the last command, with zero velocity and damping: for a period without a valid command."""
         self.velocity = self._zeros
         drive = self.drive
         self.drive = Drive(drive.mode, drive.stiffness, np.maximum(drive.damping, self._limp.damping))
@@ -147,15 +191,7 @@ class MotorCommand:
         effort: FloatArray,
         led: tuple[FloatArray, FloatArray, FloatArray] | None = None,
     ) -> None:
-        """Take a command if it is finite, within the limits of positions and efforts; else repeat the last.
-
-        Args:
-            drive: how.
-            position: (n,) [rad].
-            velocity: (n,) [rad/s].
-            effort: (n,) of compliant joints; of the others unused [N·m].
-            led: (n,) position, velocity and offset of joints that the Whole-Body Controller leads; None: as the others.
-        """
+        """Accept a finite command, clamped to the limits; else repeat the last. ``led``: of the QP's joints."""
         led = led or (position, velocity, self._zeros)
         np.concatenate((position, velocity, effort, *led), out=self._asked.reshape(-1))
         self._check()
@@ -169,23 +205,23 @@ class MotorCommand:
         self.position, self.velocity, self.effort, self.wanted = self._checked.copy()
 
     def _expressions(self, asked: Expression) -> Sequence[Expression]:
-        """(4, n) ``position``, ``velocity``, ``effort``, ``wanted``; (2,) squares of all, and efforts at a limit."""
+        """(4, n) ``position``, ``velocity``, ``effort``, ``wanted``; (2,) sum of squares, efforts at a limit."""
         position, velocity, effort, *led, offsets = (asked[i, :] for i in range(6))
         joints = np.flatnonzero(self._led).tolist()
         position[joints], velocity[joints] = led[0][joints], led[1][joints]
-        # Of what is asked for: no limit hides one.
+        # Before clamping, which would hide a number that is not finite.
         squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort) + ca.sumsqr(offsets)
         compliant = np.flatnonzero(self._compliant).tolist()
         limit = ca.DM(self._limits.effort).T[compliant]
         limited = ca.SX(1, effort.shape[1])
         limited[compliant] = clipped(effort[compliant], -limit, limit)
         lower, upper = ca.DM(self._limits.lower).T, ca.DM(self._limits.upper).T
-        told, wanted = clipped(position + offsets, lower, upper), clipped(position, lower, upper)
+        sent, wanted = clipped(position + offsets, lower, upper), clipped(position, lower, upper)
         beyond = ca.sum2(ca.fabs(effort[compliant]) >= limit)
-        return ca.vertcat(told, velocity, limited, wanted), ca.vertcat(squares, beyond)
+        return ca.vertcat(sent, velocity, limited, wanted), ca.vertcat(squares, beyond)
 
     def message(self, time: int, sequence: int, proprioceptor_sequence: int, behavior: str) -> Motor:
-        """The command as a Motor, made in a behavior."""
+        """Return the command as a Motor, computed in a behavior."""
         return Motor(
             time=time,
             sequence=sequence,

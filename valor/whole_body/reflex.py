@@ -1,9 +1,9 @@
-"""The balance reflex: what brings a robot to stand that nobody leads any more.
+"""Balance reflex: brings a robot without a command source to a stand.
 
-A robot in the middle of a step cannot be held: its DCM is on the way from foot to foot. Whoever hands Motors out
-therefore keeps this, for when the Motion Manager falls silent. It knows nothing of what the Motion Manager had in mind:
-it looks at the robot, and balances it with the Whole-Body Controller. A foot in the air comes down where the DCM needs
-it, closing steps follow until both feet stand side by side, and then the robot is at rest and can be held.
+A robot in the middle of a step cannot be held: its DCM is on the way from foot to foot. The process that sends Motor
+therefore runs this reflex when the Motion Manager times out. It needs only the robot's state, and balances with the
+Whole-Body Controller: a foot in the air comes down where the DCM needs it, closing steps follow until both feet stand
+side by side, and then the robot is at rest and can be held.
 """
 
 from __future__ import annotations
@@ -23,22 +23,15 @@ from valor.whole_body.motor_command import MotorCommand
 from valor.whole_body.state import QpStatus, UpperBodyReference
 from valor.whole_body.watchdog import ProprioceptorWatchdog
 
-LONGEST = 5.0  # that it drives the robot [s]
-SETTLED = 0.5  # at rest for so long, it is done [s]
-STILL = 0.03  # of the CoM: slower than this it is at rest [m/s]
-FAULTY = 0.01  # without a believable Proprioceptor or a solution, after which it gives up [s]
-LIFTED = 0.02  # of the robot's weight: a foot that carries less is in the air
+LONGEST = 5.0  # Longest duration of the reflex [s]
+SETTLED = 0.5  # Duration at rest after which it ends [s]
+STILL = 0.03  # CoM speed below which the robot is at rest [m/s]
+FAULTY = 0.01  # Duration without a valid Proprioceptor or a solution after which it ends [s]
+LIFTED = 0.02  # Fraction of the weight below which a foot is in the air
 
 
 class BalanceReflex:
-    """Balances a robot from wherever it is found until it stands still on both feet.
-
-    Attributes:
-        done: it has nothing more to do: the robot is to be held, or was let go for it falls.
-        outcome: why, in words.
-        time: for how long it drives, or drove [s].
-        peak: of the DCM's distance from its reference meanwhile [m].
-    """
+    """Balances a robot from its present state until it stands still on both feet."""
 
     def __init__(self, robot: RobotDescription) -> None:
         model = controller_model(robot)
@@ -54,25 +47,25 @@ class BalanceReflex:
         self._zeros = np.zeros(n)
         self._sequence = self._faults = 0
         self._behavior: str = REFLEX
-        self._upper_body = self._zeros  # where its joints stay [rad]
-        self._still = 0.0  # for how long the robot has been at rest [s]
-        self.time = self.peak = 0.0
+        self._upper_body = self._zeros  # constant position of its joints [rad]
+        self._still = 0.0  # duration at rest [s]
+        self.time = self.peak = 0.0  # duration [s]; largest distance of the DCM from its reference [m]
         self._found = False
-        self.done = True
-        self.outcome = ""
+        self.done = True  # whether it has ended: the robot can be held, or is limp because it falls
+        self.outcome = ""  # reason of the end
 
     def needed(self, behavior: str, proprioceptor: Proprioceptor) -> bool:
-        """Whether a robot left in ``behavior`` cannot simply be held: it steps, or balances with a foot in the air."""
+        """Return whether a robot in ``behavior`` cannot be held: it steps, or balances with a foot in the air."""
         carried = min(float(proprioceptor.left_foot_wrench[2]), float(proprioceptor.right_foot_wrench[2]))
         return behavior in STEPPING | WALKING or (behavior in BALANCING and carried < self._lifted)
 
     @property
     def limp(self) -> bool:
-        """Whether it has let the robot go."""
+        """True if the robot is limp."""
         return self._behavior == Behavior.FALL
 
     def begin(self, last: Motor) -> None:
-        """Take over; the upper body stays where the last Motor wanted it."""
+        """Start; the upper body stays where the last Motor commanded it."""
         self._estimator.reset()
         self._detector.reset()
         self._upper_body, self._sequence = last.position, last.sequence
@@ -82,13 +75,7 @@ class BalanceReflex:
         self.outcome = ""
 
     def update(self, proprioceptor: Proprioceptor, *, limp: bool = False, hold: bool = False) -> Motor:
-        """The Motor that answers a Proprioceptor; when ``done``, the last one.
-
-        Args:
-            proprioceptor: it.
-            limp: the devices demand that the robot goes limp.
-            hold: the devices demand that the joints are held, as soon as both feet stand.
-        """
+        """Return the Motor for a Proprioceptor; the last one if ``done``. Devices may require limp or held joints."""
         self.time += self._period
         if fault := self._watchdog.fault(proprioceptor):
             self._repeat(fault)
@@ -101,7 +88,7 @@ class BalanceReflex:
         return self._message(proprioceptor)
 
     def let_go(self, proprioceptor: Proprioceptor, last: Motor | None) -> Motor:
-        """The Motor of a robot that somebody wants limp, whoever led it until ``last``."""
+        """Return the Motor of a robot that is requested limp; ``last`` is the last Motor of another source, or None."""
         if last is not None:
             self.begin(last)
         self._let_go(proprioceptor, "somebody wants it limp")
@@ -140,7 +127,6 @@ class BalanceReflex:
         return self._command.message(proprioceptor.time, self._sequence, proprioceptor.sequence, self._behavior)
 
     def _repeat(self, why: str) -> None:
-        """A period without a command of its own."""
         self._command.repeat()
         self._faults += 1
         if self._faults >= self._most_faults:
@@ -148,7 +134,7 @@ class BalanceReflex:
 
     def _let_go(self, proprioceptor: Proprioceptor, why: str) -> None:
         self._command.limp(np.nan_to_num(proprioceptor.joint_position))
-        self._behavior = Behavior.FALL  # as if the Motion Manager had said so: it is kept
+        self._behavior = Behavior.FALL  # as from the Motion Manager: Fall is latched
         self._end(f"let go: {why}")
 
     def _end(self, outcome: str) -> None:

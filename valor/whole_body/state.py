@@ -1,6 +1,6 @@
-"""What flows through the Whole-Body Controller: the estimated state, the arms' reference, the command.
+"""Data of the Whole-Body Controller: estimated state, reference of the arms, command.
 
-Vectors over joints have one entry a joint of the robot, in the order of ``RobotDescription.joints``. Frames: *odom* is
+Vectors over joints have one entry per joint, in the order of ``RobotDescription.joints``. Frames: *odom* is
 fixed to the ground, its origin between the feet and its x forward at the estimator's reset; *pelvis* is the floating
 base; a *sole* is the site under a foot.
 """
@@ -19,11 +19,7 @@ from valor.whole_body.model.dynamics import Dynamics
 
 @dataclass(slots=True)
 class RobotState:
-    """The floating-base estimate of one control period.
-
-    A new one every period; its arrays are not written again. ``dynamics`` alone is shared and moves on with the
-    estimator's next update.
-    """
+    """Floating-base estimate of one control period; only ``dynamics`` changes with the estimator's next update."""
 
     time: int  # stamp of the Proprioceptor [ns]
     joint_position: FloatArray  # (n,) [rad]
@@ -41,36 +37,19 @@ class RobotState:
     com_in_odom: FloatArray  # (3,) [m]
     com_velocity_in_odom: FloatArray  # (3,) [m/s]
     dcm_in_odom: FloatArray  # (3,) [m]
-    contact_probability: FloatArray  # (2,) that each foot stands still, 0 to 1
+    contact_probability: FloatArray  # (2,) probability that each foot stands still, 0 to 1
     foot_forces: FloatArray  # (2,) vertical, left and right [N]
     cop_in_odom: FloatArray  # (2,) [m]; NaN without contact
-    pelvis_position_variance: FloatArray  # (3,) along the axes of odom [m²]; grows with the way: it is odometry
+    pelvis_position_variance: FloatArray  # (3,) along the axes of odom [m²]; grows with distance: it is odometry
     pelvis_orientation_variance: FloatArray  # (3,) about the axes of odom [rad²]
     pelvis_linear_velocity_variance: FloatArray  # (3,) [m²/s²]
-    pelvis_in_support: FloatArray  # (6,) from midway between the soles, along their mean heading [m]; roll, pitch, yaw
-
-    @property
-    def q(self) -> FloatArray:
-        """(nq,) of the reduced model: pelvis position and orientation in odom, then its joints."""
-        return np.concatenate(
-            (self.pelvis_position_in_odom, self.pelvis_orientation_in_odom, self.dynamics.joint_position)
-        )
-
-    @property
-    def v(self) -> FloatArray:
-        """(nv,) of the reduced model: pelvis linear velocity in odom, angular in pelvis, then its joints."""
-        return np.concatenate(
-            (
-                self.pelvis_linear_velocity_in_odom,
-                self.pelvis_angular_velocity_in_pelvis,
-                self.dynamics.joint_velocity,
-            )
-        )
+    # (6,) from midway between the soles, in their mean heading [m]; roll, pitch, yaw [rad]
+    pelvis_in_support: FloatArray
 
 
 @dataclass(slots=True)
 class UpperBodyReference:
-    """Where the joints shall be, from the Manipulation FSM. Those of the arms and the waist matter here."""
+    """Joint reference from the Manipulation FSM; arms and waist are used."""
 
     position: FloatArray  # (n,) [rad]
     velocity: FloatArray  # (n,) [rad/s]
@@ -78,17 +57,17 @@ class UpperBodyReference:
 
 
 class QpStatus(IntEnum):
-    """How the QP of a period went (``MotionState.qp_status``)."""
+    """Result of a period's QP (``MotionState.qp_status``)."""
 
     NOT_RUN = 0
     OPTIMAL = 1
-    LIMITED = 2  # re-solved with rows of torque or joint limits
+    LIMITED = 2  # solved again with torque or joint limits
     INFEASIBLE = -1  # the last feasible command, with damping
 
 
 @dataclass(slots=True)
 class WholeBodyCommand:
-    """What the joints shall do in this period. A new one every period; joints outside the WBC have effort 0."""
+    """Joint command of a period; joints outside the WBC have effort 0."""
 
     effort: FloatArray  # (n,) [N·m], within the effort limits
     acceleration: FloatArray  # (n,) [rad/s²]
@@ -97,4 +76,4 @@ class WholeBodyCommand:
     dcm_reference_in_odom: FloatArray  # (3,) [m]
     desired_foot_forces: FloatArray  # (2,) vertical, left and right, as the QP planned them [N]
     qp_status: QpStatus
-    qp_failures: int  # since the controller was made
+    qp_failures: int  # since construction

@@ -1,4 +1,4 @@
-"""Whether what the robot says can be believed, and whether it comes from the world that we have been controlling."""
+"""Watchdog of Proprioceptor: validity of each message, and its continuity with the one before."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from valor.common.kernel import Expression, Kernel, pieces
 from valor.common.messages import Proprioceptor
 
-LONGEST_GAP = 0.1  # of robot time between two Proprioceptors of a robot in our hands [s]
+LONGEST_GAP = 0.1  # Longest robot time between two Proprioceptors under control [s]
 
 _VECTORS = (
     ("joint_position", None), ("joint_velocity", None), ("joint_effort", None),
@@ -24,22 +24,14 @@ _VECTORS = (
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """What lies between two Proprioceptors."""
+    """Discontinuity between two Proprioceptors."""
 
     reason: str
-    same_world: bool  # it is the robot that we have been controlling, and its time has gone on
+    same_world: bool  # the robot under control so far, whose time has advanced
 
 
 class ProprioceptorWatchdog:
-    """Checks each Proprioceptor on its own and against the one before.
-
-    Continuity is judged by robot time, not by the wall's: a simulation that stands still for a minute and goes on
-    where it was is no fault; a robot that lived for 0.1 s without us is.
-
-    Attributes:
-        missed: Proprioceptors that came between two that were seen, since start.
-        malformed: consecutive ones that could not be believed.
-    """
+    """Checks each Proprioceptor by itself and, by robot time, against the one before: a simulation may pause."""
 
     def __init__(self, joints: int) -> None:
         self._sizes = tuple(joints if size is None else size for _, size in _VECTORS)
@@ -48,17 +40,17 @@ class ProprioceptorWatchdog:
         self._look = Kernel("watchdog", self._expressions, (self._numbers,), (self._squares,))
         self._time: int | None = None
         self._sequence = 0
-        self.missed = 0
-        self.malformed = 0
+        self.missed = 0  # Proprioceptors lost between two received ones, since start
+        self.malformed = 0  # consecutive invalid ones
 
     def fault(self, proprioceptor: Proprioceptor) -> str:
-        """What is wrong with a Proprioceptor; an empty text: nothing."""
+        """Return the fault of a Proprioceptor; an empty string if it is valid."""
         vectors = self._vectors(proprioceptor)
         if tuple(map(len, vectors)) != self._sizes:
             for (name, _), vector, size in zip(_VECTORS, vectors, self._sizes, strict=True):
                 if len(vector) != size:
                     return self._malformed(f"{name} has {len(vector)} numbers; expected {size}")
-        # A sum of squares is finite if its terms are: all is looked at in two calls.
+        # A sum of squares is finite if its terms are: two calls check all vectors.
         np.concatenate(vectors, out=self._numbers)
         self._look()
         squares, norm = self._squares.tolist()
@@ -73,7 +65,7 @@ class ProprioceptorWatchdog:
         return ""
 
     def _expressions(self, numbers: Expression) -> Sequence[Expression]:
-        """(2,) the sum of all squares, and that of the attitude's."""
+        """(2,) sums of squares of all numbers, and of the attitude."""
         vectors = dict(zip((name for name, _ in _VECTORS), pieces(numbers, self._sizes), strict=True))
         return [ca.vertcat(ca.sumsqr(numbers), ca.sumsqr(vectors["imu_orientation"]))]
 
@@ -82,11 +74,11 @@ class ProprioceptorWatchdog:
         return reason
 
     def repeated(self, proprioceptor: Proprioceptor) -> bool:
-        """Whether this is the one before once more: a simulation that waits for its first Motor says it again."""
+        """Return whether this is the last one again: a simulation repeats it while waiting for its first Motor."""
         return proprioceptor.sequence == self._sequence and proprioceptor.time == self._time
 
     def discontinuity(self, proprioceptor: Proprioceptor) -> Gap | None:
-        """What lies between this Proprioceptor and the one before; None: nothing, or there was none."""
+        """Return the discontinuity between this Proprioceptor and the last; None without one, or for the first."""
         time, sequence = self._time, self._sequence
         self._time, self._sequence = proprioceptor.time, proprioceptor.sequence
         if time is None:

@@ -1,4 +1,4 @@
-"""The real devices behind the main loop: find them, switch them on, and exchange states and commands every period.
+"""Hardware backend: finds the devices, switches them on, and exchanges states and commands every period.
 
 ::
 
@@ -13,12 +13,15 @@ import logging
 import sys
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
+from msgspec import structs
 
+from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
-from valor.common.messages import Motor, Proprioceptor
-from valor.common.pacing import Pacer, Wall
+from valor.common.messages import JointMode, Motor, Proprioceptor
+from valor.common.pacing import Pacer, WallClock
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
 from valor.common.topics import DEVICES
@@ -26,60 +29,115 @@ from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import Commands
 from valor.comms_manager.hardware.device import (
-    Ailment,
     Device,
     DeviceContext,
     DeviceError,
     Fault,
     JointCommands,
+    UnitFault,
+    make_device,
     providers,
 )
-from valor.comms_manager.hardware.holding import holding
-from valor.comms_manager.hardware.kinds import make
-from valor.comms_manager.hardware.proprioception import Proprioception, require_complete
-from valor.comms_manager.hardware.robot_time import RobotTime
+from valor.comms_manager.hardware.proprioception import Proprioception
 from valor.comms_manager.hardware.watch import DeviceWatch
 from valor.devices.kinds import Quantity
 from valor.service import Context
 
-LONGEST_WAIT = 1.0  # for the devices' clock [s]
-# Five threads share the interpreter: whoever waits for it is to wait less than the five milliseconds of the default.
+LONGEST_WAIT = 1.0  # timeout of the devices' clock [s]
+# Five threads share the interpreter: a waiting thread must get it in less than the default of 5 ms.
 _SWITCH_INTERVAL = 0.0005
 _log = logging.getLogger("comms_manager")
+
+
+# Largest remainder of a period that is not waited for, as a fraction. With less than half, a late loop does not sample
+# twice a period permanently; no whole millisecond of 4 or 5 ms, the resolution of an emulator's clock.
+REMAINDER = 0.45
+
+
+class RobotTime:
+    """Robot time by the devices' clock."""
+
+    def __init__(self, elapsed: Callable[[], int] | None, period: float, now: int) -> None:
+        """``elapsed``: time by the devices' clock [ns], if any; ``period`` [s]; ``now``: robot time [ns]."""
+        self._clock, self._period = elapsed, period
+        self._elapsed = elapsed() if elapsed else 0
+        self.now = now  # of the latest states [ns]
+        self.is_lost = False  # the clock has stopped; every period counts as a nominal one
+
+    @property
+    def remaining(self) -> float:
+        """Rest of the present period by the devices' clock [s]; 0 if it is over."""
+        if self._clock is None:
+            return 0.0
+        remaining = self._period - 1e-9 * (self._clock() - self._elapsed)
+        return remaining if remaining >= REMAINDER * self._period else 0.0
+
+    def end_period(self, lost: bool) -> None:
+        elapsed = round(1e9 * self._period)
+        if self._clock is not None:
+            now = self._clock()
+            if not lost:
+                elapsed = now - self._elapsed
+            self._elapsed = now
+        self.is_lost = lost
+        self.now += elapsed
+
+
+def holding(last: Motor, position: FloatArray, effort: FloatArray) -> Motor:
+    """Motor that holds every joint at rest with its own servo.
+
+    A joint in position mode keeps its set-point, and so its load. All others start from their position with their
+    measured effort: without it they would sag until their servos carry as much. For a soft servo, as a finger's, the
+    noise of a measured effort would be a motion.
+
+    Args:
+        last: the active Motor.
+        position: (n,) measured [rad].
+        effort: (n,) measured [N·m]; NaN: not measured.
+    """
+    servo = last.mode == JointMode.POSITION
+    zero = np.zeros(position.size)
+    return structs.replace(
+        last,
+        mode=np.full(position.size, JointMode.POSITION, dtype=np.uint8),
+        position=np.where(servo, last.position, position),
+        velocity=zero,
+        effort=np.where(servo, last.effort, np.nan_to_num(effort)),
+        stiffness=zero,
+        damping=zero,
+    )
 
 
 class Hardware(Backend):
     """All devices of robot.yaml."""
 
-    waits_for_motor = False  # the robot's time passes by itself
+    waits_for_motor = False  # robot time passes independently
 
     def __init__(self, context: Context) -> None:
-        self._context, robot = context, context.robot
-        self._robot = robot
+        self._context, self._robot, robot = context, context.robot, context.robot
         self._devices: list[Device] = []
         self._threads: list[threading.Thread] = []
         self._stopping = threading.Event()
         device_context = DeviceContext(context.instance, context.settings, robot)
         try:
             for name in robot.tables.devices:
-                self._devices.append(make(name, device_context))
-            require_complete(robot, self._devices)
+                self._devices.append(make_device(name, device_context))
+            robot.require_devices()
             self._start()
-        except DeviceError as error:
+        except BaseException as error:
             self.close()
-            raise ConfigurationError(str(error)) from None
-        except BaseException:
-            self.close()
+            if isinstance(error, DeviceError):
+                raise ConfigurationError(str(error)) from None
             raise
         self._moving = providers(self._devices, Quantity.JOINT_STATE)
         self._senses = Proprioception(robot, self._devices)
         self._watch = DeviceWatch(self._devices)
         self._status = DEVICES.publisher(context.node)
-        self._pacer = Pacer(1.0, Wall())
+        self._pacer = Pacer(1.0, WallClock())
         self._admitted = 0
         self._motor_sequence = 0
-        self._held: Motor | None = None  # while nobody leads the joints
-        for _ in range(2):  # the time by the devices' clock begins with that
+        self._held: Motor | None = None  # without a command source
+        for _ in range(2):  # the devices' clock starts with it
             self._sample()
         clock = next(iter(providers(self._devices, Quantity.TIME)), None)
         now = time.monotonic_ns() - context.settings.epoch
@@ -108,27 +166,23 @@ class Hardware(Backend):
             device.await_states()
 
     def _run(self, device: Device) -> None:
-        """A device's thread; one that ends too early is told of here, for all of its units."""
-        Wall()  # the thread wakes on time
+        WallClock()  # the thread wakes on time
         try:
             device.run(self._stopping)
         except Exception as error:
             _log.exception("%s: its thread ended", device.name)
-            text = f"nobody speaks to it: {type(error).__name__}, see the log; the Comms Manager is to be restarted"
-            device.tell([Ailment(record.unit, Fault.FAULTY, text) for record in device.records])
+            text = f"its thread has ended: {type(error).__name__}, see the log; restart the Comms Manager"
+            device.report_faults([UnitFault(record.unit, Fault.FAULTY, text) for record in device.records])
 
     @property
     def clock(self) -> str:
-        """``hardware``."""
         return "hardware"
 
     @property
     def slip(self) -> float:
-        """By how much less robot time than time on the wall has passed since start [s]."""
         return max(0.0, 1e-9 * (time.monotonic_ns() - self._context.settings.epoch - self._time.now))
 
     def advance(self, commands: Commands) -> float:
-        """Hand out the Motor that comes, wait for the end of the period, and have the devices sample."""
         began = time.perf_counter()
         self._wait(commands, self._pacer.next(self._robot.control_period))
         self._pass_time(commands)
@@ -136,14 +190,14 @@ class Hardware(Backend):
         return time.perf_counter() - began
 
     def _wait(self, commands: Commands, duration: float) -> None:
-        """Wait [s], and hand out the Motor that comes meanwhile."""
+        """Wait [s], and send Motors received during this time."""
         due = time.perf_counter() + duration
         remaining = duration
         while True:
-            # Each as it comes, and not the newest alone: one that comes after its period is late enough already.
+            # Immediately: a Motor that arrives after its period is late already.
             if not commands.answered:
                 commands.listen(remaining)
-            self._hand_out(commands)
+            self._pass_on(commands)
             remaining = due - time.perf_counter()
             if remaining <= 0.0:
                 return
@@ -152,67 +206,56 @@ class Hardware(Backend):
                 return
 
     def _pass_time(self, commands: Commands) -> None:
-        """Have the devices sample, until by their clock a period has passed since they were heard last.
+        """Let the devices sample, until a period has passed by their clock.
 
-        A bus on which nobody speaks is waited for once: its controllers' watchdogs hold the joints meanwhile.
+        A silent bus is waited for only once; the watchdogs of its controllers hold the joints.
         """
         clock, began = self._time, time.monotonic()
         self._sample()
-        while (lacking := clock.lacking) and not clock.is_lost and time.monotonic() - began <= LONGEST_WAIT:
-            self._wait(commands, lacking)
+        while (remaining := clock.remaining) and not clock.is_lost and time.monotonic() - began <= LONGEST_WAIT:
+            self._wait(commands, remaining)
             self._sample()
-        clock.pass_period(lost=lacking > 0.0)
+        clock.end_period(lost=remaining > 0.0)
 
-    def _hand_out(self, commands: Commands) -> None:
-        leader = commands.leader
-        if leader.silent and leader.limp and leader.motor is not None:
-            self._held = None
-            self._send(leader.motor)  # again and again: the motor controllers would hold a joint that hears nothing
-        elif leader.silent and leader.motor is not None:
+    def _pass_on(self, commands: Commands) -> None:
+        arbiter = commands.arbiter
+        motor, admitted, self._admitted = arbiter.motor, self._admitted, arbiter.admitted
+        if motor is None:
+            return
+        if arbiter.silent and not arbiter.limp:
             if self._held is None:
-                self._held = holding(leader.motor, self._senses.position, self._senses.effort)
+                self._held = holding(motor, self._senses.position, self._senses.effort)
             self._send(self._held)
-        elif leader.admitted != self._admitted and leader.motor is not None:
+        elif arbiter.silent or arbiter.admitted != admitted:
             self._held = None
-            self._send(leader.motor)
-        self._admitted = leader.admitted
+            self._send(motor)  # a limp one every period: without commands the motor controllers would hold the joints
 
     def _send(self, motor: Motor) -> None:
-        """Hand a sound Motor to the devices; the last place where set-points are brought within limits."""
+        """Send a valid Motor to the devices; set-points are clamped to the joints' limits here."""
         robot = self._robot
         position = np.minimum(np.maximum(motor.position, robot.lower), robot.upper)
         effort = np.minimum(np.maximum(motor.effort, -robot.effort_limit), robot.effort_limit)
         self._motor_sequence = motor.sequence
+        vectors = (position, motor.velocity, effort, motor.stiffness, motor.damping)
         for device in self._moving:
-            places = device.joints
-            device.send(
-                JointCommands(
-                    motor.sequence,
-                    motor.mode[places],
-                    position[places],
-                    motor.velocity[places],
-                    effort[places],
-                    motor.stiffness[places],
-                    motor.damping[places],
-                )
-            )
+            joints = device.joints
+            device.send(JointCommands(motor.sequence, motor.mode[joints], *(each[joints] for each in vectors)))
 
     def measure(self, sequence: int) -> Proprioceptor:
-        """The newest states of all devices; those of a silent unit are its last."""
-        return self._senses.measure(self._time.now, sequence, self._motor_sequence, self._watch.leader)
+        return self._senses.measure(self._time.now, sequence, self._motor_sequence, self._watch.primary)
 
     def attend(self) -> None:
-        """Watch the devices; report them when something changes, and every second."""
-        leader = self._watch.leader
+        """Check the devices; report them on changes, and every second."""
+        primary = self._watch.primary
         if self._watch.update(self._time.now):
             self.demand = self._watch.reaction
             self._status.publish(self._watch.report(self._time.now))
-            self._senses.look_at_supply()
-        if self._watch.leader is not leader and self._watch.leader is not None:
-            self._context.statistics.state("ready", f"the attitude is that of {self._watch.leader.name}")
+            self._senses.update_voltage()
+        if self._watch.primary is not primary and self._watch.primary is not None:
+            self._context.statistics.state("ready", f"the attitude is that of {self._watch.primary.name}")
 
     def pace(self) -> None:
-        """Nothing: the period ended before its states were taken."""
+        """Nothing: the period ended before its states were sampled."""
 
     def close(self) -> None:
         """End the threads; the motor controllers' watchdogs hold the joints."""

@@ -1,117 +1,178 @@
-"""What the devices on CAN buses have in common: SYNC out, one STATE a unit back; requests; who is who.
+"""Base class of devices on CAN buses: SYNC, one STATE per unit in response, requests, and identity.
 
-The main loop asks for states (``request_states``); the thread broadcasts SYNC, gathers what is answered, and hands it
-over when all units that were heard lately have answered, or when the time for that is up.
+The main loop requests states (``request_states``). The thread broadcasts SYNC, gathers the STATEs, and provides them
+when all units that responded lately have responded, or after a timeout.
 """
 
 from __future__ import annotations
 
+import contextlib
+import math
 import select
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import can
+import numpy as np
 
-from valor.comms_manager.hardware.can_port import CanPort
+from valor.common.errors import ConfigurationError
 from valor.comms_manager.hardware.condition import Condition, Limits, require_identity
-from valor.comms_manager.hardware.device import Ailment, Device, DeviceContext, DeviceError, Fault, UnitRecord
+from valor.comms_manager.hardware.device import (
+    Device,
+    DeviceContext,
+    DeviceError,
+    Fault,
+    IntVector,
+    UnitFault,
+    UnitRecord,
+    WrenchMeasurement,
+)
 from valor.devices import can_frames
-from valor.devices.can_frames import Code, Identity, Reply
-from valor.devices.end_to_end import is_sound
+from valor.devices.can_frames import Code, Reply, is_valid
 from valor.devices.ports import open_can
-from valor.devices.table import SupplyLimits
+from valor.devices.table import FtCan, MotorController, SupplyLimits, WrenchSensor
 
-GATHERING = 0.0015  # from SYNC until states are handed over, whoever has not answered [s]
-ABSENT_AFTER = 10  # SYNCs without an answer, after which nobody waits for a unit any more
-ANSWER_TIME = 0.1  # of a request [s]
+GATHERING = 0.0015  # timeout of STATEs after SYNC [s]
+ABSENT_AFTER = 10  # SYNCs without a STATE, after which a unit is not waited for
+ANSWER_TIME = 0.1  # timeout of a request [s]
 TRIES = 20  # of a request, at start
-TEND_EVERY = 0.1  # units that are not as they should be are asked [s]
+ATTEND_EVERY = 0.1  # period of requests to units with faults [s]
+REOPEN_EVERY = 0.5  # period of reopening a bus that fails [s]
 _IDLE = 0.02  # longest sleep of the thread [s]
+_MOST_INVALID = 64  # consecutive invalid frames, after which the bus has failed
+
+Received = tuple[int, int, can.Message]
+"""Kind and unit of a frame, by its identifier, and the frame."""
+
+
+class CanPort:
+    """An open bus.
+
+    All methods but ``reopen`` and ``close`` raise ``can.CanError`` or ``OSError`` when the bus itself fails.
+    """
+
+    def __init__(self, open_bus: Callable[[], can.BusABC]) -> None:
+        """``open_bus``: as often as needed; raises ``ConfigurationError``."""
+        self._open_bus = open_bus
+        self._bus = open_bus()
+        self._reopened = 0.0
+
+    def fileno(self) -> int:
+        """Readable when a frame has been received."""
+        return int(self._bus.fileno())
+
+    def send(self, message: can.Message) -> None:
+        self._bus.send(message)
+
+    def receive(self, timeout: float) -> Iterator[Received]:
+        """Received frames from units; waits for the first one [s]."""
+        invalid = 0
+        while True:
+            try:
+                message = self._bus.recv(timeout)
+            except can.CanOperationError:  # no CAN frame: on multicast any process may send
+                invalid += 1
+                if invalid > _MOST_INVALID:
+                    raise
+                continue
+            if message is None:
+                return
+            timeout = 0.0
+            kind = message.arbitration_id & can_frames.KIND
+            if kind in can_frames.TO_MASTER:
+                yield kind, message.arbitration_id & can_frames.UNIT, message
+
+    def reopen(self) -> None:
+        """Reopen the bus, as a reconnected adapter requires; the old one stays open until then."""
+        now = time.monotonic()
+        if now - self._reopened < REOPEN_EVERY:
+            return
+        self._reopened = now
+        with contextlib.suppress(ConfigurationError):  # not yet
+            bus = self._open_bus()
+            with contextlib.suppress(can.CanError, OSError):
+                self._bus.shutdown()
+            self._bus = bus
+
+    def close(self) -> None:
+        self._bus.shutdown()
 
 
 class CanUnit:
-    """A unit as its device knows it."""
-
-    def __init__(self, number: int, identity: Identity, device: str, supply: SupplyLimits) -> None:
-        self.number = number
-        self.identity = identity  # that it must have
-        self.name = f"{device}/{number}"
-        self.record = UnitRecord(str(number))
-        self.missed = ABSENT_AFTER  # SYNCs in a row without an answer
+    def __init__(self, table: MotorController | WrenchSensor, device: str, supply: SupplyLimits) -> None:
+        self.table = table
+        self.number = table.id
+        self.name = f"{device}/{table.id}"
+        self.record = UnitRecord(str(table.id))
+        self.missed = ABSENT_AFTER  # consecutive SYNCs without an answer
         self.condition = Condition(self.record, Limits(supply.warm, supply.hot, supply.low, supply.flat))
-        self.ailments: tuple[tuple[Ailment, ...], tuple[Ailment, ...]] = ((), ())  # of its condition, and others
+        self.unit_faults: tuple[tuple[UnitFault, ...], tuple[UnitFault, ...]] = ((), ())  # of its condition, and others
 
 
 class CanDevice(Device):
-    """Units that sample on SYNC.
-
-    Attributes:
-        gathered: is set when the states asked for last have been handed over.
-        units: by number.
-        elapsed: by the units' own clocks, since ``find``, as far as they answered [ns].
-    """
+    """Units that sample on SYNC."""
 
     def __init__(self, name: str, context: DeviceContext, bus: int, units: Mapping[int, CanUnit], length: int) -> None:
         """``length``: of a STATE [B]."""
         super().__init__(name, context)
-        self.units = units
+        self.units = units  # by number
         self.records = tuple(unit.record for unit in units.values())
-        self.gathered = threading.Event()
+        self.gathered = threading.Event()  # set when the states requested last have been provided
         self._number, self._length = bus, length
         self._bus: CanPort | None = None
         self._states_wanted = False
         self._counter = 0
         self._synced = 0  # when SYNC was sent last, monotonic [ns]
-        self._missing: set[int] = set()  # who has not answered it
-        self._awaited: set[int] = set()  # of those, who is waited for
+        self._missing: set[int] = set()  # units that have not responded to it
+        self._awaited: set[int] = set()  # those of them that are waited for
         self._replies: dict[int, Reply] = {}
-        self._tended = 0.0
-        self._failure = ""  # of the bus itself, now
-        self._now: int | None = None  # ``elapsed`` as of this SYNC, if a unit has said [ns]
-        self.elapsed = 0
+        self._attended = 0.0
+        self._failure = ""  # present failure of the bus
+        self._now: int | None = None  # ``elapsed`` at this SYNC, if a unit has responded [ns]
+        self.elapsed = 0  # time since ``find`` by the units' clocks [ns]
 
     # --- for the main loop ----------------------------------------------------------------------------------------
 
     def request_states(self) -> None:
-        """Have all units sample now; ``gathered`` is set when that is in."""
         self.gathered.clear()
         self._states_wanted = True
         self.wake()
 
     def await_states(self) -> None:
-        """Wait until that is in, or the time for it is up, twice over."""
+        """Wait for these states, at most twice their timeout."""
         self.gathered.wait(2.0 * GATHERING)
 
     # --- start and end --------------------------------------------------------------------------------------------
 
     def find(self) -> None:
-        """Ask every unit who it is, and get a first state of each."""
+        """Check the identity of every unit, and receive a first state of each."""
         self._bus = CanPort(
             lambda: open_can(self.context.settings, self._number, can_frames.TO_MASTER, can_frames.KIND)
         )
         for unit in self.units.values():
-            self._check_identity(unit, self._ask(unit, Code.IDENTIFY, f"expected {_described(unit.identity)}"))
+            expected = f"expected serial number {unit.table.serial}, firmware {unit.table.firmware}"
+            identity = self._request(unit, Code.IDENTIFY, expected).identity
+            require_identity(unit.name, unit.table, serial=identity.serial, firmware=identity.firmware)
         deadline = time.monotonic() + TRIES * ANSWER_TIME
         while not all(record.states for record in self.records):
             if time.monotonic() > deadline:
                 mute = next(unit for unit in self.units.values() if not unit.record.states)
-                raise DeviceError(f"{mute.name}: it says who it is, but no state came from it after SYNC")
+                raise DeviceError(f"{mute.name}: it sent its identity, but no state after SYNC")
             self._sync()
             while self._missing and time.monotonic_ns() - self._synced < 1e9 * ANSWER_TIME:
                 self._listen(ANSWER_TIME)
             self._finish()
 
     def close(self) -> None:
-        """Leave the bus."""
         if self._bus is not None:
             self._bus.close()
             self._bus = None
         super().close()
 
-    def _ask(self, unit: CanUnit, code: Code, expectation: str) -> Reply:
-        """Ask a unit until it answers, while no thread does."""
+    def _request(self, unit: CanUnit, code: Code, expectation: str) -> Reply:
+        """Repeat a request until the unit replies; before the thread starts."""
         assert self._bus is not None
         for _ in range(TRIES):
             self._replies.pop(unit.number, None)
@@ -126,18 +187,13 @@ class CanDevice(Device):
             f"{unit.name}: no answer on CAN bus {self._number} within {TRIES * ANSWER_TIME:g} s; {expectation}"
         )
 
-    def _check_identity(self, unit: CanUnit, reply: Reply) -> None:
-        require_identity(unit.name, _words(reply.identity), _words(unit.identity))
-
     # --- the thread -----------------------------------------------------------------------------------------------
 
     def run(self, stopping: threading.Event) -> None:
-        """Exchange frames until told to stop."""
         while not stopping.is_set():
             self._turn()
 
     def _turn(self) -> None:
-        """Wait for what comes, and do what it asks for."""
         assert self._bus is not None
         port, woken = self._bus.fileno(), self.woken
         timeout = _IDLE
@@ -145,7 +201,7 @@ class CanDevice(Device):
             timeout = max(0.0, GATHERING - 1e-9 * (time.monotonic_ns() - self._synced))
         try:
             ready, _, _ = select.select((port, woken), (), (), timeout)
-            if port in ready:  # first, as it may answer the last SYNC
+            if port in ready:  # first, as it may belong to the last SYNC
                 self._listen(0.0)
             if woken in ready:
                 self.drain_wake()
@@ -158,34 +214,33 @@ class CanDevice(Device):
                 self.gathered.set()
                 self.looks += 1
                 if self._failure:
-                    self._tell_failure("")
+                    self._report_failure("")
             now = time.monotonic()
-            if now - self._tended > TEND_EVERY:
-                self._tended = now
-                self._tend()
-        except (can.CanError, OSError) as error:  # the bus itself fails: no unit on it can be reached
-            self._tell_failure(f"CAN bus {self._number}: {error}")
+            if now - self._attended > ATTEND_EVERY:
+                self._attended = now
+                self._attend()
+        except (can.CanError, OSError) as error:  # the bus itself fails: none of its units can be reached
+            self._report_failure(f"CAN bus {self._number}: {error}")
             time.sleep(_IDLE)
             self._bus.reopen()
 
-    def _tell_failure(self, failure: str) -> None:
-        """Tell of the bus what is wrong with it, for every unit on it; empty: nothing any more."""
+    def _report_failure(self, failure: str) -> None:
+        """Report a failure of the bus for each of its units; an empty string ends it."""
         self._failure = failure
-        self._tell_ailments()
+        self._report_faults()
 
-    def _tell_ailments(self) -> None:
-        failing = [Ailment(each.unit, Fault.UNPLUGGED, self._failure) for each in self.records if self._failure]
-        units = [ailment for each in self.units.values() for part in each.ailments for ailment in part]
-        self.tell([*failing, *units])
+    def _report_faults(self) -> None:
+        failing = [UnitFault(each.unit, Fault.UNPLUGGED, self._failure) for each in self.records if self._failure]
+        units = [unit_fault for each in self.units.values() for part in each.unit_faults for unit_fault in part]
+        self.report_faults([*failing, *units])
 
     def _is_over(self) -> bool:
         return not (self._missing & self._awaited) or time.monotonic_ns() - self._synced > 1e9 * GATHERING
 
     def _finish(self) -> None:
-        """Hand over what has been gathered, and let the time pass that has passed by the units' clocks."""
         if self._now is not None:
             self.elapsed = max(self.elapsed, self._now)
-        self._hand_over()
+        self._provide()
 
     def _sync(self) -> None:
         assert self._bus is not None
@@ -199,24 +254,23 @@ class CanDevice(Device):
         self._bus.send(can_frames.sync(self._counter))
 
     def _listen(self, timeout: float) -> None:
-        """Take in what is on the bus; wait for the first frame."""
         assert self._bus is not None
         for kind, number, message in self._bus.receive(timeout):
             unit = self.units.get(number)
             if unit is None:
                 continue
             if kind == can_frames.STATE:
-                self._hear(unit, message)
+                self._process_state(unit, message)
             elif reply := can_frames.read_reply(message):
                 self._replies[unit.number] = reply
             else:
                 unit.record.errors += 1
 
-    def _hear(self, unit: CanUnit, message: can.Message) -> None:
-        """A STATE: refused if it is not sound, not the answer to this SYNC, or the second one."""
+    def _process_state(self, unit: CanUnit, message: can.Message) -> None:
+        """Process a STATE; rejected if it is invalid, belongs to another SYNC, or is repeated."""
         data, stamp = message.data, time.monotonic_ns()
-        sound = len(data) == self._length and is_sound(message.arbitration_id, data)
-        if not sound or data[0] != self._counter or unit.number not in self._missing or not self._take(unit, data):
+        valid = len(data) == self._length and is_valid(message.arbitration_id, data)
+        if not valid or data[0] != self._counter or unit.number not in self._missing or not self._take(unit, data):
             unit.record.errors += 1
             return
         self._missing.discard(unit.number)
@@ -224,31 +278,53 @@ class CanDevice(Device):
         unit.record.received(stamp)
         unit.record.answered(1e-9 * (stamp - self._synced))
 
-    def _judge(self, unit: CanUnit, temperature: float, voltage: float, others: tuple[Ailment, ...]) -> None:
-        """Write down how a unit fares [°C, V], and tell it when that has changed; ``others``: what else ails it."""
+    def _judge(self, unit: CanUnit, temperature: float, voltage: float, others: tuple[UnitFault, ...]) -> None:
+        """Update a unit's temperature and voltage [°C, V], and report changed faults; ``others``: its other faults."""
         condition = unit.condition.judge(temperature, voltage)
-        if condition is not unit.ailments[0] or others != unit.ailments[1]:
-            unit.ailments = (condition, others)
-            self._tell_ailments()
+        if condition is not unit.unit_faults[0] or others != unit.unit_faults[1]:
+            unit.unit_faults = (condition, others)
+            self._report_faults()
 
     @abstractmethod
     def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
-        """Take in a sound STATE; returns whether its numbers can be believed."""
+        """Process a valid STATE; returns whether its values are plausible."""
 
     @abstractmethod
-    def _hand_over(self) -> None:
-        """Replace what it provides by what is known now."""
+    def _provide(self) -> None:
+        """Replace the provided measurements by the latest ones."""
 
     def _send_command(self) -> None:
-        """Send the newest command, if there is a new one."""
+        """Send the latest command, once."""
 
-    def _tend(self) -> None:
-        """Look after units that are not as they should be; ten times a second."""
-
-
-def _words(identity: Identity) -> dict[str, object]:
-    return {"serial number": identity.serial, "firmware": identity.firmware}
+    def _attend(self) -> None:
+        """Handle units with faults; called every ``ATTEND_EVERY``."""
 
 
-def _described(identity: Identity) -> str:
-    return f"serial number {identity.serial}, firmware {identity.firmware}"
+LARGEST = 20_000.0  # plausible force [N] and torque [N·m]
+
+
+class ForceTorque(CanDevice):
+    """The sensors on one bus."""
+
+    def __init__(self, name: str, context: DeviceContext) -> None:
+        table = context.robot.tables.devices[name]
+        assert isinstance(table, FtCan)
+        supply = context.robot.tables.supply
+        units = {sensor.id: CanUnit(sensor, name, supply) for sensor in table.sensors}
+        super().__init__(name, context, table.bus, units, can_frames.SENSOR_STATE_LENGTH)
+        self._row = {number: row for row, number in enumerate(units)}
+        self._stamp: IntVector = np.zeros(len(units), dtype=np.int64)
+        self._wrench = np.zeros((len(units), 6))
+
+    def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
+        _, _, temperature, *wrench = can_frames.SENSOR_STATE.unpack_from(data)
+        if not all(abs(value) < LARGEST for value in wrench):  # NaN is rejected as well
+            return False
+        row = self._row[unit.number]
+        self._wrench[row] = wrench
+        self._stamp[row] = time.monotonic_ns()
+        self._judge(unit, 0.1 * temperature, math.nan, ())
+        return True
+
+    def _provide(self) -> None:
+        self.wrench = WrenchMeasurement(self._stamp.copy(), self._wrench.copy())

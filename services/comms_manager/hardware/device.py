@@ -1,13 +1,13 @@
-"""What every device of the robot has in common: a thread that speaks its protocol, states out, commands in.
+"""Base class of all devices: a thread that exchanges frames, states out, commands in.
 
-Between the thread and the main loop stand real-time buffers of the simplest kind: one reference to the newest whole
-thing, replaced, never changed. Python replaces a reference at once, so neither side ever waits for the other.
+Thread and main loop exchange references to the latest complete object, which are replaced and never changed. Replacing
+a reference is atomic in Python, so neither side waits for the other.
 
 ::
 
-    device thread ── states ────► main loop      the newest of what it provides, with the time at which each came
-    device thread ◄── command ─── main loop      newest slice of Motor; ``wake`` tells the thread
-    device thread ── faults ────► main loop      what is wrong with which unit, besides silence
+    device thread ── states ────► main loop      latest measurements, with the time at which each was received
+    device thread ◄── command ─── main loop      latest slice of Motor; ``wake`` notifies the thread
+    device thread ── faults ────► main loop      faults of units, except timeouts
 """
 
 from __future__ import annotations
@@ -31,14 +31,19 @@ from valor.devices.kinds import KINDS, Quantity
 from valor.robot.description import RobotDescription
 
 IntVector = npt.NDArray[np.int64]
-FEET = ("left_foot", "right_foot")  # where the forces must be known
-RATE_WINDOW = 1.0  # over which rates and latencies are taken [s]
+FEET = ("left_foot", "right_foot")  # where forces must be measured
+
+
+def make_device(name: str, context: DeviceContext) -> Device:
+    """The driver of a device of robot.yaml; its ports are not opened yet."""
+    device: Device = KINDS[context.robot.tables.devices[name].kind].load_driver()(name, context)
+    return device
 
 
 class Part(StrEnum):
-    """What the robot needs a unit for."""
+    """Function of a unit for the robot."""
 
-    LEGS = "legs"  # to carry itself: joints driven by force
+    LEGS = "legs"  # joints that carry the robot, driven by force
     UPPER_BODY = "upper_body"  # all other joints
     IMU = "imu"
     FOOT = "foot"  # forces at a foot
@@ -46,40 +51,40 @@ class Part(StrEnum):
 
 
 class DeviceError(ValorError):
-    """A device is not there, is another one, or does not do as it must: names device and unit, and the expectation."""
+    """A device is missing, another one, or responds unexpectedly; the message names device, unit, expectation."""
 
 
 class Fault(StrEnum):
-    """What can be wrong with a unit. ``faults.py`` says what the robot does about it."""
+    """Fault of a unit. ``watch.REACTIONS`` defines the robot's reaction."""
 
-    SILENT = "silent"  # no state for too long; whatever came cannot be believed
-    SLOW = "slow"  # states come at less than half of the rate at which they should
-    FAULTY = "faulty"  # the unit says so itself
-    ENCODER = "encoder"  # its position jumped farther than a joint can move
-    WARM = "warm"  # so that the robot shall come to rest
-    HOT = "hot"  # so that the unit is about to switch itself off
+    SILENT = "silent"  # timeout of valid states
+    SLOW = "slow"  # states at less than half of the nominal rate
+    FAULTY = "faulty"  # reported by the unit itself
+    ENCODER = "encoder"  # its position changed faster than a joint can move
+    WARM = "warm"  # the robot must come to rest
+    HOT = "hot"  # the unit is about to switch itself off
     LOW_VOLTAGE = "low_voltage"
-    FLAT = "flat"  # so little voltage that motors are about to switch themselves off
-    UNPLUGGED = "unplugged"  # the port is gone, or the unit has lost its power: it must be found again
+    FLAT = "flat"  # motors are about to switch themselves off
+    UNPLUGGED = "unplugged"  # the port is missing, or the unit has lost its power
     DISABLED = "disabled"  # its motors are off, though they were switched on
-    OVERDUE = "overdue"  # the computer has not read it for a moment: its fault, not the unit's
-    UNREAD = "unread"  # likewise, for too long
+    OVERDUE = "overdue"  # the computer has not read the port for a moment
+    UNREAD = "unread"  # the computer has not read the port for too long
 
 
 @dataclass(frozen=True, slots=True)
-class Ailment:
+class UnitFault:
     """A fault of a unit."""
 
     unit: str
     fault: Fault
-    detail: str  # one line for people
+    detail: str  # human-readable, one line
 
 
 @dataclass(frozen=True, slots=True)
 class JointMeasurement:
-    """States of a device's joints, arrays of (m,) in the device's order."""
+    """States of a device's joints, (m,) in the device's order."""
 
-    stamp: IntVector  # when each came, monotonic [ns]; 0: never
+    stamp: IntVector  # time of reception, monotonic [ns]; 0: never
     position: FloatArray  # [rad]
     velocity: FloatArray  # [rad/s]
     effort: FloatArray  # [N·m]
@@ -87,9 +92,9 @@ class JointMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class ImuMeasurement:
-    """What an inertial measurement unit says."""
+    """Sample of an inertial measurement unit."""
 
-    stamp: int  # when it came, monotonic [ns]
+    stamp: int  # time of reception, monotonic [ns]
     orientation: FloatArray  # (4,) in world
     angular_velocity: FloatArray  # (3,) in IMU [rad/s]
     linear_acceleration: FloatArray  # (3,) in IMU, specific force [m/s²]
@@ -97,9 +102,9 @@ class ImuMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class WrenchMeasurement:
-    """What force/torque sensors say, k of them in the device's order."""
+    """Samples of k force/torque sensors in the device's order."""
 
-    stamp: IntVector  # (k,) when each came, monotonic [ns]; 0: never
+    stamp: IntVector  # (k,) time of reception, monotonic [ns]; 0: never
     wrench: FloatArray  # (k, 6) [N, N·m] in the frames of Proprioceptor's wrenches
 
 
@@ -118,31 +123,31 @@ class JointCommands:
 
 @dataclass(slots=True)
 class UnitRecord:
-    """What a device thread writes down about one unit; the main loop makes a row of ``DeviceStatus`` of it."""
+    """Statistics of one unit, written by the device thread; a row of ``DeviceStatus``."""
 
     unit: str
     states: int = 0  # received since start
-    stamp: int = 0  # of the newest state, monotonic [ns]
+    stamp: int = 0  # of the latest state, monotonic [ns]
     latency_sum: float = 0.0  # from command or request to the state that answers it, since start [s]
     latency_count: int = 0
     temperature: float = math.nan  # [°C]
     voltage: float = math.nan  # [V]
-    errors: int = 0  # frames refused since start: checksum, length, order, nonsense
+    errors: int = 0  # frames rejected since start: checksum, length, order, range
 
     def received(self, stamp: int) -> None:
-        """A sound state came at ``stamp`` [monotonic ns]."""
+        """Count a valid state received at ``stamp`` [monotonic ns]."""
         self.states += 1
         self.stamp = stamp
 
     def answered(self, latency: float) -> None:
-        """It answered a command or request after ``latency`` [s]."""
+        """Count a response to a command or request after ``latency`` [s]."""
         self.latency_sum += latency
         self.latency_count += 1
 
 
 @dataclass(frozen=True)
 class DeviceContext:
-    """What a device is made from."""
+    """Arguments of every device's constructor."""
 
     instance: Instance
     settings: Settings
@@ -150,26 +155,24 @@ class DeviceContext:
 
 
 class Device(ABC):
-    """A device behind one port, with a thread of its own.
+    """A device behind one port, with its own thread.
 
-    The main thread calls ``find`` and ``enable`` before the thread starts, ``wake`` and ``close`` from outside;
-    everything else happens in ``run``. ``find`` and ``enable`` raise ``DeviceError``; ``run`` never raises for what
-    comes over the port: it tells it in ``ailments``, and goes on.
+    The main loop calls ``find`` and ``enable`` before the thread starts. ``run`` never raises for received data: it
+    reports ``unit_faults``, and continues.
 
     Attributes:
         name: as in robot.yaml.
-        provides: what it gives, by its kind.
-        joints: (m,) places of its joints in every joint vector; none for sensors.
-        places: of Proprioceptor's wrenches, those that it gives, in order.
-        records: one a unit, in robot.yaml's order.
-        joint_state, attitude, wrench: newest of what it provides; None before the first, and of what it does not.
+        provides: quantities of its kind.
+        joints: (m,) indices of its joints in the joint vectors; empty for sensors.
+        places: Proprioceptor's wrenches that it measures, in order.
+        records: one per unit, in robot.yaml's order.
+        joint_state, attitude, wrench: latest measurements; None before the first, and for other quantities.
             Replaced, never changed.
-        ailments: what is wrong now, besides silence. Replaced, never changed; the same object while nothing changes.
-        rate: at which states of each unit should come [Hz].
-        silent_after: without a state for so long, a unit is silent [s].
-        looks: how often its thread has had everything that its port had brought. Silence is a unit's fault only as far
-            as somebody listened.
-        elapsed: by a clock of its own that can be the robot's, since ``find`` [ns].
+        unit_faults: present faults, except timeouts. Replaced, never changed; the same object without a change.
+        rate: nominal rate of each unit's states [Hz].
+        silent_after: timeout of states [s].
+        looks: how often its thread has read its port completely. A timeout is a unit's fault only if the port was read.
+        elapsed: time since ``find`` by the device's clock, if that can be the robot's [ns].
     """
 
     silent_after: float = 0.1
@@ -189,16 +192,16 @@ class Device(ABC):
         self.joint_state: JointMeasurement | None = None
         self.attitude: ImuMeasurement | None = None
         self.wrench: WrenchMeasurement | None = None
-        self.ailments: tuple[Ailment, ...] = ()
+        self.unit_faults: tuple[UnitFault, ...] = ()
         self.command: JointCommands | None = None
         self.looks = 0
         self.rate = robot.tables.control_rate
         self.woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        """Readable when there is something new to do: for ``select`` beside the port."""
+        """Readable after ``wake``: for ``select``, with the port."""
 
     @abstractmethod
     def find(self) -> None:
-        """Open the port, ask every unit who it is, and get a first state with calibration applied.
+        """Open the port, check every unit's identity, and receive a first state with calibration applied.
 
         Raises:
             DeviceError: names the device, the unit, and what was expected.
@@ -208,11 +211,11 @@ class Device(ABC):
         """Switch the motors on; the joints stay where they are.
 
         Raises:
-            DeviceError: a unit does not answer or refuses.
+            DeviceError: a unit does not respond, or rejects the request.
         """
 
     def part(self, unit: str) -> Part:
-        """What the robot needs a unit for: the joints that its device moves, or what it feels."""
+        """Function of a unit: the joints that its device moves, or what it measures."""
         if Quantity.JOINT_STATE in self.provides:
             return Part.LEGS if self.context.robot.tables.device_carries(self.name) else Part.UPPER_BODY
         if Quantity.WRENCH in self.provides:
@@ -220,11 +223,11 @@ class Device(ABC):
             return Part.FOOT if place in FEET else Part.HAND
         return Part.IMU
 
-    def request_states(self) -> None:  # noqa: B027 (most keep a pace of their own)
-        """Have all units sample now (main loop)."""
+    def request_states(self) -> None:  # noqa: B027 (most have their own rate)
+        """Let all units sample now (main loop)."""
 
     def await_states(self) -> None:  # noqa: B027
-        """Wait, within bounds, until what was asked for last is there (main loop)."""
+        """Wait, within bounds, for the requested states (main loop)."""
 
     @abstractmethod
     def run(self, stopping: Event) -> None:
@@ -235,54 +238,25 @@ class Device(ABC):
         os.close(self.woken)
 
     def send(self, command: JointCommands) -> None:
-        """Hand over the newest command (main loop)."""
+        """Set the latest command (main loop)."""
         self.command = command
         self.wake()
 
     def wake(self) -> None:
-        """Have the thread look (main loop)."""
+        """Wake the thread (main loop)."""
         os.eventfd_write(self.woken, 1)
 
     def drain_wake(self) -> None:
-        """Take the waking back (device thread), before looking at what is new."""
+        """Clear ``woken`` (device thread), before processing new input."""
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self.woken)
 
-    def tell(self, ailments: list[Ailment]) -> None:
-        """Replace what is wrong, if it is something else than before."""
-        if tuple(ailments) != self.ailments:
-            self.ailments = tuple(ailments)
+    def report_faults(self, unit_faults: list[UnitFault]) -> None:
+        """Replace the present faults, if they changed."""
+        if tuple(unit_faults) != self.unit_faults:
+            self.unit_faults = tuple(unit_faults)
 
 
 def providers(devices: Sequence[Device], quantity: Quantity) -> list[Device]:
-    """Those that provide something, in robot.yaml's order."""
+    """Devices that provide a quantity, in robot.yaml's order."""
     return [device for device in devices if quantity in device.provides]
-
-
-@dataclass
-class UnitRates:
-    """Rate, latency and age of one unit as of late, from its record."""
-
-    record: UnitRecord
-    rate: float = math.nan  # [Hz]
-    latency: float = math.nan  # [s]
-    _since: float = math.nan
-    _states: int = 0
-    _latency_sum: float = 0.0
-    _latency_count: int = 0
-
-    def update(self, now: float) -> None:
-        """Take rate and latency since the last call, if that is at least ``RATE_WINDOW`` of robot time ago [s]."""
-        record, elapsed = self.record, now - self._since
-        if elapsed < RATE_WINDOW:
-            return
-        if not math.isnan(elapsed):
-            self.rate = (record.states - self._states) / elapsed
-        answers = record.latency_count - self._latency_count
-        self.latency = (record.latency_sum - self._latency_sum) / answers if answers else math.nan
-        self._since, self._states = now, record.states
-        self._latency_sum, self._latency_count = record.latency_sum, record.latency_count
-
-    def age(self, now: float) -> float:
-        """Of the newest state [s]; infinite before the first."""
-        return now - self.record.stamp * 1e-9 if self.record.stamp else math.inf

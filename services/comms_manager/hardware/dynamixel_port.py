@@ -1,9 +1,8 @@
-"""Dynamixel servos on a serial port, spoken to with ``dynamixel-sdk``.
+"""Dynamixel servos on a serial port, with ``dynamixel-sdk``.
 
-The SDK's own port never waits: its ``rxPacket`` turns round and round until a packet is there, and takes a whole core
-from the control loop for it. ``WaitingPort`` reads with pyserial's time-out instead, so that a cycle sleeps while the
-servos answer. ``GroupSyncRead`` gives up at the first servo that is missing; ``StatusReader`` takes the answers of
-those that are there, whichever they are.
+The SDK's port polls without pause until a packet is complete, which costs the control loop a core; ``WaitingPort``
+waits in pyserial's read. The SDK's ``GroupSyncRead`` stops at the first missing servo; ``StatusReader`` accepts the
+responses of the others.
 """
 
 from __future__ import annotations
@@ -26,29 +25,28 @@ from dynamixel_sdk import (
     Protocol2PacketHandler,
 )
 
-from valor.devices.dynamixel import Item
+from valor.devices.dynamixel import ControlTable, Item
 
-ANSWER_TIME = 40.0  # that a servo has for the answer to a single request, besides the line's own [ms]
-CYCLE_TIME = 7.0  # that all servos have together for a cycle's answers, likewise [ms]
+ANSWER_TIME = 40.0  # timeout of a single request, without transmission [ms]
+CYCLE_TIME = 7.0  # timeout of all responses of a cycle, without transmission [ms]
 TRIES = 3  # of a single request
-QUIET = 0.03  # on the line, before a request is made again [s]
-READ_TIME = 0.003  # that one read waits [s]
+QUIET = 0.03  # silence of the line before a request is repeated [s]
+READ_TIME = 0.003  # timeout of one read [s]
 STATUS_OVERHEAD = 11  # bytes of a status frame besides its parameters
 _ID, _ERROR, _PARAMETERS = 4, 8, 9
 ALERT = 0x80
 
 
 class DynamixelError(Exception):
-    """The bus or a servo does not do what it was asked for."""
+    """The bus or a servo does not execute a request."""
 
 
 class WaitingPort(PortHandler):  # type: ignore[misc]
-    """The SDK's port, reading with a time-out."""
+    """The SDK's port, with a timeout in each read."""
 
     received = 0
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
-        """Open the port; called by ``openPort``."""
         self.ser = serial.Serial(self.port_name, cflag_baud, timeout=READ_TIME, write_timeout=0.1, exclusive=True)
         self.is_open = True
         self.ser.reset_input_buffer()
@@ -56,20 +54,18 @@ class WaitingPort(PortHandler):  # type: ignore[misc]
         return True
 
     def clearPort(self) -> None:  # noqa: N802
-        """Forget what came unasked; on a port that is gone, say so as pyserial does elsewhere."""
+        """Discard received bytes; raises ``SerialException`` if the port is gone."""
         try:
             self.ser.reset_input_buffer()
         except termios.error as error:
             raise serial.SerialException(f"{self.port_name}: {error.args[-1]}") from None
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
-        """Bytes that come in time, and how many have come since ``received`` was set to 0."""
         data: bytes = self.ser.read(length)
         self.received += len(data)
         return data
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
-        """When the SDK gives up waiting for a packet of that length."""
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + ANSWER_TIME)
 
 
@@ -78,23 +74,19 @@ class Answer:
     """A servo's status frame."""
 
     data: bytes
-    error: int  # of the servo: 0, or its number; without the alert bit
+    error: int  # number, without the alert bit; 0: none
     alert: bool  # its hardware_error is not 0
 
 
 class StatusReader(GroupSyncRead):  # type: ignore[misc]
-    """Reads the same block of several servos at once, and takes what answers come.
-
-    Attributes:
-        corrupt: cycles with as many bytes as an answer more than the answers had.
-    """
+    """Reads the same block of several servos at once."""
 
     def __init__(self, port: WaitingPort, packets: Protocol2PacketHandler, block: Item) -> None:
         super().__init__(port, packets, block.address, block.size)
-        self.corrupt = 0
+        self.corrupt = 0  # number of cycles with enough bytes for a further response
 
     def read(self) -> dict[int, Answer]:
-        """The answers, by servo; those that are missing did not come in time.
+        """Responses by servo, of those that responded in time.
 
         Raises:
             DynamixelError: the request could not be sent.
@@ -108,8 +100,8 @@ class StatusReader(GroupSyncRead):  # type: ignore[misc]
         self.port.setPacketTimeoutMillis(line_time + CYCLE_TIME)
         self.port.received = 0
         answers: dict[int, Answer] = {}
-        place_of = {servo: place for place, servo in enumerate(self.data_dict)}
-        place = 0  # of the newest answer
+        order = list(self.data_dict)
+        latest = 0  # index of the latest response
         try:
             while len(answers) < wanted:
                 frame, result = self.ph.rxPacket(self.port, False)
@@ -121,38 +113,36 @@ class StatusReader(GroupSyncRead):  # type: ignore[misc]
                     continue
                 answer = _answer(frame)
                 if frame[_ID] in self.data_dict and len(answer.data) == self.data_length:
-                    before, place = place, place_of[frame[_ID]]
-                    if place < before:  # servos answer in their order: what came before it answers an earlier request
+                    before, latest = latest, order.index(frame[_ID])
+                    if latest < before:  # servos respond in order: the earlier frames answer an earlier request
                         answers.clear()
                     answers[frame[_ID]] = answer
         finally:
             self.port.is_using = False
-        # The SDK says nothing of bytes that it skips.
+        # The SDK does not report the bytes that it skips.
         self.corrupt += self.port.received >= (len(answers) + 1) * (STATUS_OVERHEAD + self.data_length)
         return answers
 
 
 class DynamixelPort:
-    """A bus of servos: items of control tables, read and written.
+    """A bus of servos: reads and writes items of control tables.
 
-    All methods raise ``DynamixelError`` with servo and reason, and ``serial.SerialException`` when the port is
-    gone.
+    All methods raise ``DynamixelError`` with servo and reason, and ``serial.SerialException`` if the port is gone.
     """
 
     def __init__(self, path: str, baud_rate: int) -> None:
         self._port = WaitingPort(path)
         if not self._port.setBaudRate(baud_rate):
-            raise DynamixelError(f"{path}: baud rate {baud_rate}: not one that the servos know")
+            raise DynamixelError(f"{path}: baud rate {baud_rate}: the servos do not support it")
         self._packets = Protocol2PacketHandler()
 
     def ping(self, servo: int) -> tuple[int, int]:
         """Model number and firmware."""
         number, result, _ = self._again(lambda: self._packets.ping(self._port, servo))
         self._check(servo, "ping", result, 0)
-        return number, self.read(servo, Item(6, 1))
+        return number, self.read(servo, ControlTable.firmware)
 
     def read(self, servo: int, item: Item) -> int:
-        """One number."""
         data, result, error = self._again(lambda: self._read(servo, item))
         self._check(servo, f"read of {item.address}", result, error)
         return number_of(bytes(data), item, item.address)
@@ -160,8 +150,8 @@ class DynamixelPort:
     def _read(self, servo: int, item: Item) -> tuple[bytes, int, int]:
         """Data, result and error of one request.
 
-        The SDK takes any answer of the servo for the one to its request, and the checksum for data where that is
-        shorter: what answers an earlier request, too late, must not be a number.
+        The SDK accepts any response of the servo, also a late one to an earlier request, and reads its checksum as data
+        if it is shorter: responses of another length are skipped here.
         """
         if (result := self._packets.readTx(self._port, servo, item.address, item.size)) != COMM_SUCCESS:
             return b"", result, 0
@@ -174,7 +164,7 @@ class DynamixelPort:
                 return answer.data, result, answer.error
 
     def write(self, servo: int, item: Item, value: int) -> None:
-        """One number, acknowledged by the servo."""
+        """Write an item; the servo acknowledges it."""
         data = list(bytes_of(value, item))
         _, result, error = self._again(
             lambda: (None, *self._packets.writeTxRx(self._port, servo, item.address, item.size, data))
@@ -182,19 +172,19 @@ class DynamixelPort:
         self._check(servo, f"write of {item.address}", result, error)
 
     def reboot(self, servo: int) -> None:
-        """Start a servo anew, which forgets its errors."""
+        """Restart a servo, which clears its errors."""
         result, _ = self._packets.reboot(self._port, servo)
         self._check(servo, "reboot", result, 0)
 
     def reader(self, block: Item, servos: Iterable[int]) -> StatusReader:
-        """A reader of one block of several servos; ``addParam`` and ``removeParam`` change which."""
+        """Reader of one block of several servos; ``removeParam`` excludes one."""
         reader = StatusReader(self._port, self._packets, block)
         for servo in servos:
             reader.addParam(servo)
         return reader
 
     def write_all(self, item: Item, values: dict[int, int]) -> None:
-        """The same item of several servos in one frame, which none acknowledges."""
+        """Write an item of several servos in one frame, without acknowledgment."""
         group = GroupSyncWrite(self._port, self._packets, item.address, item.size)
         for servo, value in values.items():
             group.addParam(servo, list(bytes_of(value, item)))
@@ -202,59 +192,55 @@ class DynamixelPort:
             raise DynamixelError(self._packets.getTxRxResult(result))
 
     def close(self) -> None:
-        """Give the port back."""
         self._port.closePort()
 
     def _again(self, request: Callable[[], tuple[Any, int, int]]) -> tuple[Any, int, int]:
-        """Make a request until there is an answer, or enough of it: answer, result, error."""
-        answer = self._asked(request)
+        """Repeat a request until there is a response, at most ``TRIES`` times; data, result, error."""
+        answer = self._attempt(request)
         for _ in range(TRIES - 1):
             if answer[1] == COMM_SUCCESS:
                 break
-            self._let_pass()
-            answer = self._asked(request)
+            self._discard_late()
+            answer = self._attempt(request)
             if answer[1] == COMM_SUCCESS:
-                self._let_pass()  # it may have been to the request before
+                self._discard_late()  # it may answer the first request: another one follows
         return answer
 
-    def _asked(self, request: Callable[[], tuple[Any, int, int]]) -> tuple[Any, int, int]:
-        """Make a request; one that the line does not take in time, as on a busy computer, has no answer."""
+    def _attempt(self, request: Callable[[], tuple[Any, int, int]]) -> tuple[Any, int, int]:
+        """Make a request; if the line does not accept it in time, it has no response."""
         try:
             return request()
         except serial.SerialTimeoutException:
-            self._port.is_using = False  # as the SDK leaves it only when it has sent
+            self._port.is_using = False  # the SDK clears it only after sending
             return None, COMM_TX_FAIL, 0
 
-    def _let_pass(self) -> None:
-        """Let answers pass that come too late: answers do not say to what, and would be taken for that to the next."""
+    def _discard_late(self) -> None:
+        """Discard late responses, which would be accepted as responses to the next request."""
         quiet = time.monotonic() + QUIET
         while time.monotonic() < quiet:
             if self._port.ser.read(256):
                 quiet = time.monotonic() + QUIET
 
     def _check(self, servo: int, what: str, result: int, error: int) -> None:
-        if result == COMM_RX_TIMEOUT:
-            raise DynamixelError(f"servo {servo}: no answer to a {what}")
-        if result == COMM_RX_CORRUPT:
-            raise DynamixelError(f"servo {servo}: answer to a {what} with a wrong checksum")
         if result != COMM_SUCCESS:
-            raise DynamixelError(f"servo {servo}: {what}: {self._packets.getTxRxResult(result)}")
+            known = {COMM_RX_TIMEOUT: "no answer", COMM_RX_CORRUPT: "answer with a wrong checksum"}
+            reason = known.get(result) or self._packets.getTxRxResult(result)
+            raise DynamixelError(f"servo {servo}: {reason} to a {what}")
         if error & ~ALERT:
-            raise DynamixelError(f"servo {servo}: refused a {what}: {self._packets.getRxPacketError(error & ~ALERT)}")
+            raise DynamixelError(f"servo {servo}: rejected a {what}: {self._packets.getRxPacketError(error & ~ALERT)}")
 
 
 def bytes_of(value: int, item: Item) -> bytes:
-    """A number as it stands in the control table."""
     return (value & ((1 << 8 * item.size) - 1)).to_bytes(item.size, "little")
 
 
 def number_of(block: bytes, item: Item, start: int) -> int:
-    """A number of a block that was read from address ``start``."""
-    place = item.address - start
-    return int.from_bytes(block[place : place + item.size], "little", signed=item.signed)
+    """Number in a block that starts at address ``start``."""
+    offset = item.address - start
+    return int.from_bytes(block[offset : offset + item.size], "little", signed=item.signed)
 
 
 def _answer(frame: list[int]) -> Answer:
-    """The SDK takes the stuffing out and corrects the length, which then counts without it."""
+    # The SDK removes the stuffing, and reduces the length accordingly.
     end = 7 + (frame[5] | frame[6] << 8) - 2
     return Answer(bytes(frame[_PARAMETERS:end]), frame[_ERROR] & ~ALERT, bool(frame[_ERROR] & ALERT))

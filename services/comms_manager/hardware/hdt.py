@@ -1,8 +1,7 @@
-"""The HDT arms and hands: over Bifrost to a bridge that makes ROS topics of it for the vendor's driver (3.4.3).
+"""The HDT arms and hands, over Bifrost and a bridge to ROS topics of the vendor's driver (thesis 3.4.3).
 
-Neither the bridge nor the driver is trusted to live: each may end and begin anew at any time. Whoever is back is found
-where it is: the first set-point is the measured position, and from there the joints go to what Motor asks at a bounded
-speed (``rejoin.py``).
+Bridge and driver may restart at any time. Joints that are back receive their measured position as first set-point,
+which then moves to Motor's position at a bounded speed (``Rejoining``).
 """
 
 from __future__ import annotations
@@ -13,39 +12,69 @@ from collections import OrderedDict
 from threading import Event
 
 import numpy as np
+import numpy.typing as npt
 
 import bifrost
-from valor.common import membership
+from valor.common import topics
+from valor.common.arrays import FloatArray
 from valor.common.messages import HdtCommand, HdtState, JointMode
 from valor.common.topics import hdt_topics
 from valor.comms_manager.hardware.device import (
-    Ailment,
     Device,
     DeviceContext,
     DeviceError,
     Fault,
     JointCommands,
     JointMeasurement,
+    UnitFault,
     UnitRecord,
 )
-from valor.comms_manager.hardware.rejoin import Rejoining
 from valor.devices.hdt_bus import Fault as ModuleFault
 from valor.devices.table import HdtBifrost, HdtLimb
 
-FINDING = 30.0  # within which all limbs must have said where they are [s]
-ANSWERING = 5.0  # within which a command must have acted [s]
-SILENCE = 0.2  # without a state, after which a limb is taken to be out of reach [s]
-_LOOK_EVERY = 0.02  # at silence, and at whether to stop [s]
+FINDING = 30.0  # timeout of the first states of all limbs, at start [s]
+ANSWERING = 5.0  # timeout of the first applied command, at start [s]
+SILENCE = 0.2  # timeout of a limb's states [s]
+_LOOK_EVERY = 0.02  # period of checking for timeouts and for the end [s]
 # As numbers, which NumPy keeps in the type of its arrays.
 _NO_ANSWER, _ENCODER = int(ModuleFault.NO_ANSWER), int(ModuleFault.ENCODER)
 _HOT, _LOW = int(ModuleFault.OVER_TEMPERATURE), int(ModuleFault.UNDER_VOLTAGE)
 _UNREACHABLE = _NO_ANSWER | _ENCODER
-_REMEMBERED = 64  # commands, for their latency
+_STORED = 64  # commands stored to compute their latency
+SPEED = 0.5  # of a joint that is back, towards Motor's position [rad/s]
+_ARRIVED = 1e-3  # distance at which it follows Motor again [rad]
+
+
+class Rejoining:
+    """Set-points of k joints; joints that were unreachable move from their measured to the desired position."""
+
+    def __init__(self, count: int) -> None:
+        self.position = np.zeros(count)  # (k,) set-points of the last cycle [rad]
+        self.out = np.ones(count, dtype=bool)  # (k,) joints that cannot be reached
+        self.returning = np.zeros(count, dtype=bool)  # (k,) joints that move to the desired position
+
+    def measured(self, measured: FloatArray, reachable: npt.NDArray[np.bool_]) -> None:
+        """Process measured positions [rad] of reachable joints; those that were out start from there."""
+        back = self.out & reachable
+        if back.any():
+            self.position[back] = measured[back]
+            self.returning |= back
+        self.out = ~reachable
+        self.returning &= reachable
+
+    def lost(self) -> None:
+        self.out[:] = True
+        self.returning[:] = False
+
+    def advance(self, target: FloatArray, period: float) -> FloatArray:
+        """(k,) set-points after ``period`` [s], toward the target [rad]; the last ones for joints that are out."""
+        step = np.clip(target - self.position, -SPEED * period, SPEED * period)
+        self.position = np.where(self.returning, self.position + step, np.where(self.out, self.position, target))
+        self.returning &= np.abs(target - self.position) > _ARRIVED
+        return self.position.copy()
 
 
 class _Limb:
-    """One limb's topics, what it said last and what it is told."""
-
     def __init__(self, node: bifrost.Node, table: HdtLimb, joints: tuple[str, ...], part: slice, rate: float) -> None:
         self.name, self.joints, self.part = table.group, joints, part
         self.every = table.every
@@ -55,16 +84,16 @@ class _Limb:
         self.record = UnitRecord(table.group)
         self.rejoining = Rejoining(len(joints))
         self.state: HdtState | None = None
-        # Greater than every sequence of an earlier run, whoever sets the clock: a state that answers one is known.
+        # Greater than every sequence of an earlier run, regardless of the wall clock: states for those are detected.
         self.sequence = time.monotonic_ns() // 1000
         self.sent: OrderedDict[int, float] = OrderedDict()  # sequence → when [monotonic s]
         self.answered = False
         self.silent = True
-        self.ailments: tuple[Ailment, ...] = ()
+        self.unit_faults: tuple[UnitFault, ...] = ()
 
 
 class Hdt(Device):
-    """Limbs behind the bridge; a unit each. It keeps a pace of its own: the newest command counts."""
+    """Limbs behind the bridge, one unit each, at their own rate: each cycle sends the latest command."""
 
     silent_after = SILENCE
 
@@ -74,7 +103,7 @@ class Hdt(Device):
         assert isinstance(table, HdtBifrost)
         self._table = table
         instance, robot = context.instance, context.robot
-        self._node = bifrost.Node("comms_manager", network=membership.network(instance, "comms_manager"))
+        self._node = bifrost.Node("comms_manager", network=topics.network(instance, "comms_manager"))
         self._limbs: list[_Limb] = []
         for limb in table.limbs:
             first = self._limbs[-1].part.stop if self._limbs else 0
@@ -91,55 +120,52 @@ class Hdt(Device):
         self._cycle = 0
 
     def wake(self) -> None:
-        """Nobody waits for the main loop."""
+        """Nothing: the thread has its own rate."""
 
     # --- start and end --------------------------------------------------------------------------------------------
 
     def find(self) -> None:
-        """Wait until every joint of every limb has been measured. Who the limbs are, their driver has asked them."""
+        """Wait until every joint has been measured; the driver checks the limbs' identities."""
         deadline = time.monotonic() + FINDING
         while any((missing := self._missing(limb)) for limb in self._limbs):
             if time.monotonic() > deadline:
                 raise DeviceError(missing)
-            self._listen(_LOOK_EVERY)
+            self._receive(_LOOK_EVERY)
 
     def enable(self) -> None:
-        """Tell the limbs to stay where they are, and see that this acts."""
+        """Command the limbs to hold, and wait until they apply it."""
         deadline = time.monotonic() + ANSWERING
         while waiting := [limb for limb in self._limbs if not limb.answered]:
             if time.monotonic() > deadline:
                 raise DeviceError(
-                    f"{self.name}/{waiting[0].name}: no command acted within {ANSWERING:g} s; "
-                    "expected hdt_driver to obey what says: stay where you are"
+                    f"{self.name}/{waiting[0].name}: no command was applied within {ANSWERING:g} s; "
+                    "expected hdt_driver to apply the command to hold"
                 )
             for limb in waiting:
-                self._tell(limb, None)
+                self._send(limb, None)
             until = time.monotonic() + 1.0 / self._table.rate
             while (remaining := until - time.monotonic()) > 0.0:
-                self._listen(remaining)
+                self._receive(remaining)
 
     def close(self) -> None:
-        """Leave Bifrost; the limbs hold by themselves."""
         self._node.close()
         super().close()
 
     def _missing(self, limb: _Limb) -> str:
-        """What is not known of a limb; empty: nothing."""
+        """What is missing of a limb's state; an empty string if nothing."""
         unit, state = f"{self.name}/{limb.name}", limb.state
         if state is None:
-            who = "hdt_driver says nothing" if limb.states.publishers else "hdt_bridge is not there"
-            return f"{unit}: no state within {FINDING:g} s; {who}"
+            return f"{unit}: no state within {FINDING:g} s; {_silent(limb)}"
         for joint, fault in zip(limb.joints, state.fault.tolist(), strict=True):
             if fault & _UNREACHABLE:
-                why = "module does not answer" if fault & _NO_ANSWER else "encoder cannot be believed"
+                why = "module does not respond" if fault & _NO_ANSWER else "encoder has jumped"
                 return f"{unit}: {joint}: its {why}; expected all modules"
         return ""
 
     # --- the thread -----------------------------------------------------------------------------------------------
 
     def run(self, stopping: Event) -> None:
-        """Exchange messages until told to stop."""
-        for limb in self._limbs:  # meanwhile they may have moved
+        for limb in self._limbs:  # they may have moved since ``find``
             limb.rejoining.lost()
             limb.silent = True
         period, due = 1.0 / self._table.rate, time.monotonic()
@@ -149,31 +175,30 @@ class Hdt(Device):
                 due = max(due + period, now)
                 self._cycle += 1
                 for limb in self._limbs:
-                    # Whoever comes back hears nothing before he has said where he is.
+                    # A limb that is back receives no command before its first state.
                     if self._cycle % limb.every == 0 and not limb.silent:
-                        self._tell(limb, self.command)
-                self._listen(0.0)  # what has come while this thread waited for its turn is no silence
-                self._look_for_silence(now)
-            self._listen(min(_LOOK_EVERY, max(0.0, due - now)))
+                        self._send(limb, self.command)
+                self._receive(0.0)  # messages received while this thread was not scheduled prevent a timeout
+                self._check_timeouts(now)
+            self._receive(min(_LOOK_EVERY, max(0.0, due - now)))
 
-    def _listen(self, timeout: float) -> None:
-        """Wait for states, and hand them over."""
+    def _receive(self, timeout: float) -> None:
         ready = bifrost.wait([limb.states for limb in self._limbs], timeout)
-        news = False
-        for limb in self._limbs:
-            if limb.states in ready and (received := limb.states.latest()) is not None:
-                news = self._hear(limb, received.message) or news
-        if news:
-            self._hand_over()
+        valid = [
+            self._process(limb, received.message)
+            for limb in self._limbs
+            if limb.states in ready and (received := limb.states.latest()) is not None
+        ]
+        if any(valid):
+            self._provide()
         self.looks += 1
 
-    def _hand_over(self) -> None:
+    def _provide(self) -> None:
         self.joint_state = JointMeasurement(
             self._stamp.copy(), self._position.copy(), self._velocity.copy(), self._effort.copy()
         )
 
-    def _hear(self, limb: _Limb, state: HdtState) -> bool:
-        """Take a state in; returns whether it is sound."""
+    def _process(self, limb: _Limb, state: HdtState) -> bool:
         k, record = len(limb.joints), limb.record
         numbers = (state.position, state.velocity, state.effort, state.temperature)
         if state.fault.size != k or any(each.size != k for each in numbers):
@@ -196,43 +221,34 @@ class Hdt(Device):
         self._position[part] = np.where(reachable, measured, self._position[part])
         self._velocity[part] = np.where(reachable, state.velocity, 0.0)
         self._effort[part] = np.where(reachable, state.effort, 0.0)
-        limb.rejoining.heard(measured, reachable)
+        limb.rejoining.measured(measured, reachable)
         limb.state, limb.silent = state, False
         self._judge(limb, state)
         return True
 
-    def _tell(self, limb: _Limb, command: JointCommands | None) -> None:
-        """Send a limb its next set-points; without a command, to stay where it is on its own servo."""
+    def _send(self, limb: _Limb, command: JointCommands | None) -> None:
+        """Send the next set-points to a limb; without a command, to hold on its own servo."""
         part, k = limb.part, len(limb.joints)
         if command is None:
-            wanted, zero = limb.rejoining.position, np.zeros(k)
+            target, zero = limb.rejoining.position, np.zeros(k)
             mode = np.full(k, JointMode.POSITION, dtype=np.uint8)
             velocity, effort, stiffness, damping = zero, zero, zero, zero
         else:
-            mode, wanted = command.mode[part], command.position[part]
+            mode, target = command.mode[part], command.position[part]
             velocity = np.where(limb.rejoining.returning | limb.rejoining.out, 0.0, command.velocity[part])
             effort, stiffness, damping = command.effort[part], command.stiffness[part], command.damping[part]
-        wanted = np.minimum(np.maximum(wanted, self._lower[part]), self._upper[part])
-        position = limb.rejoining.advance(wanted, limb.period) + self._offset[part]
+        target = np.minimum(np.maximum(target, self._lower[part]), self._upper[part])
+        position = limb.rejoining.advance(target, limb.period) + self._offset[part]
         limb.sequence += 1
         limb.sent[limb.sequence] = time.monotonic()
-        if len(limb.sent) > _REMEMBERED:
+        if len(limb.sent) > _STORED:
             limb.sent.popitem(last=False)
+        now, motor = time.monotonic_ns(), command.sequence if command else 0
         limb.commands.publish(
-            HdtCommand(
-                time=time.monotonic_ns(),
-                sequence=limb.sequence,
-                motor_sequence=command.sequence if command else 0,
-                mode=mode,
-                position=position,
-                velocity=velocity,
-                effort=effort,
-                stiffness=stiffness,
-                damping=damping,
-            )
+            HdtCommand(now, limb.sequence, motor, mode, position, velocity, effort, stiffness, damping)
         )
 
-    def _look_for_silence(self, now: float) -> None:
+    def _check_timeouts(self, now: float) -> None:
         for limb in self._limbs:
             if now - 1e-9 * limb.record.stamp <= SILENCE:
                 continue
@@ -240,38 +256,37 @@ class Hdt(Device):
                 limb.silent = True
                 limb.rejoining.lost()
                 self._velocity[limb.part] = self._effort[limb.part] = 0.0
-                self._hand_over()
-            who = "hdt_driver says nothing" if limb.states.publishers else "hdt_bridge is not there"
-            ailments = (Ailment(limb.name, Fault.SILENT, who),)
-            if ailments != limb.ailments:
-                limb.ailments = ailments
-                self._tell_ailments()
+                self._provide()
+            self._set_faults(limb, (UnitFault(limb.name, Fault.SILENT, _silent(limb)),))
 
     def _judge(self, limb: _Limb, state: HdtState) -> None:
-        """What its modules say of themselves."""
-        found: list[Ailment] = []
+        found: list[UnitFault] = []
         faults = state.fault
         if faults.any():
-            deaf = faults & _NO_ANSWER > 0
-            if deaf.all():
-                found.append(Ailment(limb.name, Fault.UNPLUGGED, "none of its modules answers"))
-            elif deaf.any():
-                found.append(Ailment(limb.name, Fault.FAULTY, f"{_names(limb, deaf)}: no answer"))
+            silent = faults & _NO_ANSWER > 0
+            if silent.all():
+                found.append(UnitFault(limb.name, Fault.UNPLUGGED, "none of its modules responds"))
+            elif silent.any():
+                found.append(UnitFault(limb.name, Fault.FAULTY, f"{_names(limb, silent)}: no response"))
             if (jumped := faults & _ENCODER > 0).any():
-                found.append(Ailment(limb.name, Fault.ENCODER, f"{_names(limb, jumped)}: its encoder jumped"))
+                found.append(UnitFault(limb.name, Fault.ENCODER, f"{_names(limb, jumped)}: encoder jumped"))
             supply = self.context.robot.tables.supply
             if (hot := faults & _HOT > 0).any():
                 fault = Fault.HOT if float(state.temperature[hot].max()) >= supply.hot else Fault.WARM
-                found.append(Ailment(limb.name, fault, f"{_names(limb, hot)}: says that it is too hot"))
+                found.append(UnitFault(limb.name, fault, f"{_names(limb, hot)}: reports over-temperature"))
             if (faults & _LOW > 0).any():
                 fault = Fault.FLAT if state.voltage <= supply.flat else Fault.LOW_VOLTAGE
-                found.append(Ailment(limb.name, fault, "says that its supply is too low"))
-        if tuple(found) != limb.ailments:
-            limb.ailments = tuple(found)
-            self._tell_ailments()
+                found.append(UnitFault(limb.name, fault, "reports under-voltage"))
+        self._set_faults(limb, tuple(found))
 
-    def _tell_ailments(self) -> None:
-        self.tell([ailment for limb in self._limbs for ailment in limb.ailments])
+    def _set_faults(self, limb: _Limb, unit_faults: tuple[UnitFault, ...]) -> None:
+        if unit_faults != limb.unit_faults:
+            limb.unit_faults = unit_faults
+            self.report_faults([each for limb in self._limbs for each in limb.unit_faults])
+
+
+def _silent(limb: _Limb) -> str:
+    return "hdt_driver does not publish" if limb.states.publishers else "hdt_bridge is not running"
 
 
 def _names(limb: _Limb, which: np.ndarray) -> str:

@@ -1,8 +1,7 @@
-"""The pelvis' inertial measurement unit: a MicroStrain 3DM-GX4-25 on a serial port.
+"""MicroStrain 3DM-GX4-25 inertial measurement unit on a serial port.
 
-It streams one packet a sample: attitude, angular rate, acceleration, and the state and time of its filter. Assumed, as
-no manual can say it: it sits with its x axis forward and its z axis down, as the vendor draws it, and so turned half
-about x from the robot's frame of the IMU; its heading is whatever it likes.
+Each sample is one packet: attitude, angular rate, acceleration, filter state and time. Assumed mounting: x axis
+forward, z axis down, a half turn about x from the robot's IMU frame; its heading is arbitrary.
 """
 
 from __future__ import annotations
@@ -10,54 +9,93 @@ from __future__ import annotations
 import math
 import struct
 import time
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 
 from valor.comms_manager.hardware.condition import require_identity
-from valor.comms_manager.hardware.device import Ailment, DeviceContext, DeviceError, Fault, ImuMeasurement
-from valor.comms_manager.hardware.mip import Packet, PacketStream, encode
+from valor.comms_manager.hardware.device import DeviceContext, DeviceError, Fault, ImuMeasurement, UnitFault
 from valor.comms_manager.hardware.serial_sensor import ANSWER_TIME, NoAnswerError, SerialSensor
+from valor.devices.frame_stream import FrameStream
 from valor.devices.mip import (
-    DATA_FIELDS,
+    APPLY,
+    CHECKSUM_SIZE,
     DEVICE_INFORMATION,
+    FILTER_STREAM,
     FORMAT_ENTRY,
+    HEADER_SIZE,
+    LAYOUTS,
+    READ,
+    RUNNING_VALID,
+    SYNC,
     Base,
     DescriptorSet,
     FilterData,
-    FilterState,
-    Function,
     MicroStrainMip,
     Reply,
     Result,
-    Stream,
     ThreeDm,
 )
 
-UNIT_LENGTH = 0.01  # by which an attitude's norm may be off
-
-_FIELDS = (
-    FilterData.ATTITUDE_QUATERNION,
-    FilterData.COMPENSATED_ANGULAR_RATE,
-    FilterData.COMPENSATED_ACCELERATION,
-    FilterData.STATUS,
-    FilterData.GPS_TIMESTAMP,
-)
-_LAYOUTS = DATA_FIELDS[DescriptorSet.FILTER_DATA]
+UNIT_LENGTH = 0.01  # largest error of the norm of an attitude
 _HALF_TURN = np.array([1.0, -1.0, -1.0])  # about x, of a vector
 _HALF_TURN_BOTH = np.array([1.0, 1.0, -1.0, -1.0])  # of a quaternion w, x, y, z, on both sides
 
+Field = tuple[int, bytes]
+"""Descriptor and data."""
+
+
+class Packet(NamedTuple):
+    """Packet with a valid checksum."""
+
+    descriptor_set: int
+    fields: tuple[Field, ...]
+
+
+def checksum(data: bytes | bytearray) -> bytes:
+    """Fletcher checksum of header and payload."""
+    return bytes((sum(data) & 0xFF, sum(accumulate(data)) & 0xFF))
+
+
+def encode(descriptor_set: int, fields: Sequence[Field]) -> bytes:
+    """Bytes of a packet with up to 255 bytes of fields."""
+    payload = b"".join(bytes((len(data) + 2, descriptor)) + data for descriptor, data in fields)
+    frame = SYNC + bytes((descriptor_set, len(payload))) + payload
+    return frame + checksum(frame)
+
+
+def decode(frame: bytes) -> Packet | None:
+    """Packet of a frame; None if its fields do not fill the payload."""
+    fields = []
+    payload = frame[HEADER_SIZE:-CHECKSUM_SIZE]
+    while payload:
+        length = payload[0]
+        if not 2 <= length <= len(payload):
+            return None
+        fields.append((payload[1], payload[2:length]))
+        payload = payload[length:]
+    return Packet(frame[2], tuple(fields))
+
+
+def packet_stream() -> FrameStream:
+    return FrameStream(SYNC, HEADER_SIZE, lambda header: HEADER_SIZE + header[3] + CHECKSUM_SIZE, _is_valid)
+
+
+def _is_valid(frame: bytes) -> bool:
+    return checksum(frame[:-CHECKSUM_SIZE]) == frame[-CHECKSUM_SIZE:]
+
 
 class MicroStrain(SerialSensor):
-    """One sensor, alone on its port."""
+    """One sensor on a dedicated port."""
 
     def __init__(self, name: str, context: DeviceContext) -> None:
         table = context.robot.tables.devices[name]
         assert isinstance(table, MicroStrainMip)
-        super().__init__(name, context, table.rate, table.baud_rate)
+        super().__init__(name, context, table.rate, table.baud_rate, packet_stream())
         self._table = table
-        self._stream = PacketStream()
-        self._skipped = 0
-        self._filter_state = FilterState.RUNNING_VALID
+        self._filter_state = RUNNING_VALID
 
     # --- start and end ------------------------------------------------------------------------------------------------
 
@@ -66,7 +104,7 @@ class MicroStrain(SerialSensor):
         return f"a {table.model} with serial number {table.serial} and firmware {table.firmware} on {self._path}"
 
     def _begin(self, tries: int) -> None:
-        self._ask(DescriptorSet.BASE, Base.SET_TO_IDLE, b"", tries)
+        self._request(DescriptorSet.BASE, Base.SET_TO_IDLE, b"", tries)
         self._identify(tries)
         self._configure(tries)
 
@@ -75,23 +113,18 @@ class MicroStrain(SerialSensor):
         return encode(DescriptorSet.BASE, [(Base.SET_TO_IDLE, b"")])
 
     def _identify(self, tries: int) -> None:
-        answer = self._ask(DescriptorSet.BASE, Base.DEVICE_INFORMATION, b"", tries)
+        answer = self._request(DescriptorSet.BASE, Base.DEVICE_INFORMATION, b"", tries)
         information = answer.get(Reply.DEVICE_INFORMATION, b"")
         if len(information) != DEVICE_INFORMATION.size:
             raise DeviceError(f"{self.name}: {len(information)} bytes of device information; expected {self._wanted()}")
         number, *texts = DEVICE_INFORMATION.unpack(information)
         model, _, serial_number, *_ = (text.decode("ascii", "replace").strip(" \0") for text in texts)
         firmware = f"{number // 1000}.{number // 100 % 10}.{number % 100}"
-        table = self._table
-        require_identity(
-            self.name,
-            {"model": model, "serial number": serial_number, "firmware": firmware},
-            {"model": table.model, "serial number": table.serial, "firmware": table.firmware},
-        )
+        require_identity(self.name, self._table, model=model, serial=serial_number, firmware=firmware)
 
     def _configure(self, tries: int) -> None:
-        """Ask for the fields at the rate of robot.yaml, see that they are taken, and have them streamed."""
-        answer = self._ask(DescriptorSet.THREE_DM, ThreeDm.FILTER_BASE_RATE, b"", tries)
+        """Request the fields at the rate of robot.yaml, check the setting, and start the stream."""
+        answer = self._request(DescriptorSet.THREE_DM, ThreeDm.FILTER_BASE_RATE, b"", tries)
         base_rate = int.from_bytes(answer.get(Reply.FILTER_BASE_RATE, b""), "big")
         decimation = round(base_rate / self._table.rate)
         if decimation < 1 or decimation * self._table.rate != base_rate:
@@ -99,26 +132,25 @@ class MicroStrain(SerialSensor):
                 f"{self.name}: rate {self._table.rate:g} Hz (robot.yaml); "
                 f"expected a whole fraction of its {base_rate} Hz"
             )
-        entries = b"".join(FORMAT_ENTRY.pack(field, decimation) for field in _FIELDS)
-        formatted = bytes((len(_FIELDS),)) + entries
         command = ThreeDm.FILTER_MESSAGE_FORMAT
-        self._ask(DescriptorSet.THREE_DM, command, bytes((Function.APPLY,)) + formatted, tries)
-        answer = self._ask(DescriptorSet.THREE_DM, command, bytes((Function.READ, 0)), tries)
+        formatted = bytes((len(LAYOUTS),)) + b"".join(FORMAT_ENTRY.pack(field, decimation) for field in LAYOUTS)
+        self._request(DescriptorSet.THREE_DM, command, bytes((APPLY,)) + formatted, tries)
+        answer = self._request(DescriptorSet.THREE_DM, command, bytes((READ, 0)), tries)
         if answer.get(Reply.FILTER_MESSAGE_FORMAT) != formatted:
-            raise DeviceError(f"{self.name}: it streams other fields than it was asked for")
-        enable = bytes((Function.APPLY, Stream.FILTER, 1))
-        self._ask(DescriptorSet.THREE_DM, ThreeDm.ENABLE_STREAM, enable, tries)
-        self._ask(DescriptorSet.BASE, Base.RESUME, b"", tries)
+            raise DeviceError(f"{self.name}: it streams other fields than requested")
+        self._request(DescriptorSet.THREE_DM, ThreeDm.ENABLE_STREAM, bytes((APPLY, FILTER_STREAM, 1)), tries)
+        self._request(DescriptorSet.BASE, Base.RESUME, b"", tries)
 
-    def _ask(self, descriptor_set: DescriptorSet, command: int, data: bytes, tries: int) -> dict[int, bytes]:
+    def _request(self, descriptor_set: DescriptorSet, command: int, data: bytes, tries: int) -> dict[int, bytes]:
         """Send a command until it is acknowledged; returns the reply's other fields."""
         assert self._port is not None
         for _ in range(tries):
             self._port.write(encode(descriptor_set, [(command, data)]))
             deadline = time.monotonic() + ANSWER_TIME
             while (remaining := deadline - time.monotonic()) > 0.0:
-                for packet in self._packets(self._read(remaining)):
-                    if packet.descriptor_set != descriptor_set:
+                for frame in self._frames(self._read(remaining)):
+                    packet = decode(frame)
+                    if packet is None or packet.descriptor_set != descriptor_set:
                         continue
                     fields = dict(packet.fields)
                     acknowledge = fields.get(Reply.ACKNOWLEDGE, b"")
@@ -126,7 +158,7 @@ class MicroStrain(SerialSensor):
                         continue
                     if acknowledge[1] != Result.OK:
                         raise DeviceError(
-                            f"{self.name}: it refused the command {descriptor_set:#04x}/{command:#04x} "
+                            f"{self.name}: it rejected the command {descriptor_set:#04x}/{command:#04x} "
                             f"with {acknowledge[1]:#04x}; expected {self._wanted()}"
                         )
                     return fields
@@ -134,29 +166,16 @@ class MicroStrain(SerialSensor):
 
     # --- the thread ---------------------------------------------------------------------------------------------------
 
-    def _forget(self) -> None:
-        self._stream.clear()
+    def _take(self, frame: bytes) -> bool:
+        packet = decode(frame)
+        if packet is None:
+            return False
+        return packet.descriptor_set != DescriptorSet.FILTER_DATA or self._take_sample(packet)
 
-    def _hear(self, data: bytes) -> None:
-        for packet in self._packets(data):
-            if packet.descriptor_set == DescriptorSet.FILTER_DATA and not self._take(packet):
-                self._record.errors += 1
-
-    def _packets(self, data: bytes) -> list[Packet]:
-        """The packets that bytes complete; what is none is counted."""
-        stream = self._stream
-        wrong = stream.wrong_checksums + stream.malformed
-        packets = list(stream.feed(data))
-        wrong = stream.wrong_checksums + stream.malformed - wrong
-        self._record.errors += wrong or int(stream.skipped > self._skipped)
-        self._skipped = stream.skipped
-        return packets
-
-    def _take(self, packet: Packet) -> bool:
-        """Take in a sample; returns whether it can be believed."""
+    def _take_sample(self, packet: Packet) -> bool:
         stamp = time.monotonic_ns()
         try:
-            values = {field: _LAYOUTS[field].unpack(data) for field, data in packet.fields}
+            values = {field: LAYOUTS[field].unpack(data) for field, data in packet.fields}
             *orientation, attitude_valid = values[FilterData.ATTITUDE_QUATERNION]
             *rate, rate_valid = values[FilterData.COMPENSATED_ANGULAR_RATE]
             *acceleration, acceleration_valid = values[FilterData.COMPENSATED_ACCELERATION]
@@ -166,8 +185,9 @@ class MicroStrain(SerialSensor):
             return False
         if state != self._filter_state:
             self._filter_state = state
-            self.tell(self._filter_ailments())
-        if state != FilterState.RUNNING_VALID or not (attitude_valid and rate_valid and acceleration_valid):
+            text = f"its filter is in state {state}; expected it to run"
+            self.report_faults([] if state == RUNNING_VALID else [UnitFault(self.name, Fault.FAULTY, text)])
+        if state != RUNNING_VALID or not (attitude_valid and rate_valid and acceleration_valid):
             return False
         norm = math.hypot(*orientation)
         if not (abs(norm - 1.0) < UNIT_LENGTH and math.isfinite(sum(rate) + sum(acceleration))):
@@ -184,8 +204,3 @@ class MicroStrain(SerialSensor):
         self._record.received(stamp)
         self._record.answered(late)
         return True
-
-    def _filter_ailments(self) -> list[Ailment]:
-        if self._filter_state == FilterState.RUNNING_VALID:
-            return []
-        return [Ailment(self.name, Fault.FAULTY, f"its filter is in state {self._filter_state}; expected it to run")]

@@ -1,48 +1,89 @@
-"""Proprioceptor, composed of what the devices provide, whatever they are."""
+"""Proprioceptor, composed of the measurements of all devices."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+import time
 from collections.abc import Sequence
 from typing import get_args
 
 import numpy as np
 
-from valor.common.errors import ConfigurationError
 from valor.common.messages import Proprioceptor
-from valor.comms_manager.hardware.attitude import AttitudeSource
-from valor.comms_manager.hardware.device import FEET, Device, providers
+from valor.common.rotation import Quaternion, about_z, conjugate, multiply, vertical
+from valor.comms_manager.hardware.device import Device, ImuMeasurement, providers
 from valor.devices.kinds import Quantity
 from valor.devices.table import WrenchPlace
 from valor.robot.description import RobotDescription
 
-NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit says otherwise [V]
+NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit reports a voltage [V]
 
 
-def require_complete(robot: RobotDescription, devices: Sequence[Device]) -> None:
-    """See that devices move each joint once, and feel what balance is kept by.
+FRESH = 20_000_000  # largest age of samples that are compared [ns]
+NOTHING = ImuMeasurement(0, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
 
-    Raises:
-        ConfigurationError: names the file, and all that is lacking.
+
+class AttitudeSource:
+    """Latest sample of the primary IMU, with a heading that is continuous when another IMU becomes primary.
+
+    IMUs have arbitrary headings. The differences are tracked while both report, so that a new primary continues from
+    the present heading of the robot.
     """
-    moved = Counter(joint for device in devices for joint in robot.tables.device_joints(device.name))
-    felt = Counter[str](place for device in providers(devices, Quantity.WRENCH) for place in device.places)
-    lacking = []
-    if missing := [joint for joint in robot.joints if not moved[joint]]:
-        lacking.append(f"none moves {', '.join(missing)}")
-    if not providers(devices, Quantity.ATTITUDE):
-        lacking.append("0 IMUs; expected one, for the pelvis' attitude")
-    if missing := [place for place in FEET if not felt[place]]:
-        lacking.append(f"no force/torque sensor at {', '.join(missing)}; expected one in each foot")
-    if twice := [what for what, count in (moved + felt).items() if count > 1]:
-        lacking.append(f"{', '.join(twice)}: in more than one device")
-    if lacking:
-        raise ConfigurationError(f"{robot.folder / 'robot.yaml'}: devices: {'; '.join(lacking)}")
+
+    def __init__(self, units: Sequence[Device]) -> None:
+        self._units = units
+        self._turns = [0.0] * len(units)  # from the heading of each IMU to the robot's [rad]
+        self._newest = NOTHING
+
+    def measure(self, primary: Device | None) -> ImuMeasurement:
+        """Sample of ``primary``; the last sample if it has none."""
+        if primary is None or primary.attitude is None:
+            return self._newest
+        sample = primary.attitude
+        if len(self._units) > 1:
+            turn = self._turns[self._units.index(primary)]
+            sample = _turned(sample, turn)
+            self._follow(primary, sample)
+        self._newest = sample
+        return sample
+
+    def _follow(self, primary: Device, sample: ImuMeasurement) -> None:
+        now = time.monotonic_ns()
+        if now - sample.stamp > FRESH:
+            return
+        for place, unit in enumerate(self._units):
+            other = unit.attitude
+            if unit is not primary and other is not None and now - other.stamp < FRESH:
+                self._turns[place] = _heading(_quaternion(sample), _quaternion(other))
+
+
+def tilt_between(a: ImuMeasurement, b: ImuMeasurement) -> float:
+    """Angle between the vertical directions of two samples [rad]."""
+    ups = vertical(_quaternion(a)), vertical(_quaternion(b))
+    return math.acos(max(-1.0, min(1.0, sum(p * q for p, q in zip(*ups, strict=True)))))
+
+
+def _quaternion(sample: ImuMeasurement) -> Quaternion:
+    w, x, y, z = sample.orientation.tolist()
+    return w, x, y, z
+
+
+def _heading(to: Quaternion, of: Quaternion) -> float:
+    """Rotation about the vertical that minimizes the difference of two attitudes [rad]."""
+    dw, _, _, dz = multiply(to, conjugate(of))
+    return 2.0 * math.atan2(dz, dw)
+
+
+def _turned(sample: ImuMeasurement, turn: float) -> ImuMeasurement:
+    """Rotate the heading of a sample [rad]; rates and forces stay in the IMU's frame."""
+    if not turn:
+        return sample
+    orientation = np.array(multiply(about_z(turn), _quaternion(sample)))
+    return ImuMeasurement(sample.stamp, orientation, sample.angular_velocity, sample.linear_acceleration)
 
 
 class Proprioception:
-    """The newest of all devices; of those that are silent the last.
+    """Latest measurements of all devices; after a timeout, the last ones.
 
     Attributes:
         position: (n,) of the joints [rad].
@@ -59,15 +100,8 @@ class Proprioception:
         self._wrenches = {place: np.zeros(6) for place in get_args(WrenchPlace)}
         self._voltage = NOMINAL_VOLTAGE
 
-    def measure(self, time: int, sequence: int, motor_sequence: int, leader: Device | None) -> Proprioceptor:
-        """What is known now.
-
-        Args:
-            time: of the robot [ns].
-            sequence: of the Proprioceptor.
-            motor_sequence: of the Motor that was handed out last.
-            leader: whose attitude is the robot's.
-        """
+    def measure(self, time: int, sequence: int, motor_sequence: int, primary: Device | None) -> Proprioceptor:
+        """Compose a Proprioceptor at robot ``time`` [ns]; ``primary``: IMU of the robot's attitude."""
         for device in self._moving:
             if (joints := device.joint_state) is not None:
                 places = device.joints
@@ -77,7 +111,7 @@ class Proprioception:
         for device in self._feeling:
             if (felt := device.wrench) is not None:
                 self._wrenches.update(zip(device.places, felt.wrench, strict=True))
-        attitude = self._attitude.measure(leader)
+        attitude = self._attitude.measure(primary)
         return Proprioceptor(
             time=time,
             sequence=sequence,
@@ -93,8 +127,8 @@ class Proprioception:
             motor_behavior="",
         )
 
-    def look_at_supply(self) -> None:
-        """Take the lowest voltage that a unit which moves joints has for the battery's."""
+    def update_voltage(self) -> None:
+        """Update the battery voltage: the lowest one reported by a unit that moves joints."""
         voltages = [record.voltage for device in self._moving for record in device.records]
         if known := [voltage for voltage in voltages if not math.isnan(voltage)]:
             self._voltage = min(known)

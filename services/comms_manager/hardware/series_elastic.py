@@ -12,24 +12,24 @@ from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode
 from valor.comms_manager.hardware.can_device import CanDevice, CanUnit
 from valor.comms_manager.hardware.device import (
-    Ailment,
     DeviceContext,
     DeviceError,
     Fault,
     IntVector,
     JointCommands,
     JointMeasurement,
+    UnitFault,
 )
 from valor.devices import can_frames
 from valor.devices.can_frames import Code, Identity
 from valor.devices.table import MotorController, SeaCanFd, SupplyLimits
 
-JUMP_MARGIN = 0.05  # of a joint's position from one state to the next, besides what its velocity limit gives [rad]
-JUMPS_TO_FAULT = 3  # implausible positions in a row, after which it is the encoder
-LONGEST_STEP = 10_000_000  # of a controller's clock; beyond, it has begun anew [µs]
-ENABLE_WITHIN = 0.1  # of the set-point: only there is a controller that had lost its power switched on again [rad]
+JUMP_MARGIN = 0.05  # margin of a joint's motion between states, in addition to its velocity limit [rad]
+JUMPS_TO_FAULT = 3  # consecutive implausible positions, after which the encoder has jumped
+LONGEST_STEP = 10_000_000  # of a controller's clock between states; a longer one is a restart [µs]
+ENABLE_WITHIN = 0.1  # largest distance from the set-point at which a controller is switched on again [rad]
 
-# As plain numbers: the flags' own arithmetic is dear, and this is done for every state.
+# As plain numbers: flag arithmetic is slow, and this is done for every state.
 _ENABLED = int(can_frames.Status.ENABLED)
 _CALIBRATED = int(can_frames.Status.CALIBRATED)
 _FAULTS = {
@@ -43,14 +43,15 @@ class _Controller(CanUnit):
     """A motor controller; ``rows``: of its axes among the device's joints."""
 
     def __init__(self, table: MotorController, device: str, first: int, supply: SupplyLimits) -> None:
-        super().__init__(table.id, Identity(table.serial, table.firmware), device, supply)
+        super().__init__(table, device, supply)
+        self.identity = Identity(table.serial, table.firmware)
         self.rows = range(first, first + len(table.axes))
-        self.jumps = 0  # implausible positions in a row
-        self.jumped: list[int] = []  # rows whose encoder cannot be believed any more
+        self.jumps = 0  # consecutive implausible positions
+        self.jumped: list[int] = []  # rows whose encoder has jumped
         self.status = 0
-        self.clock: int | None = None  # [µs], of its newest state
-        self.elapsed = 0  # by all controllers' clocks, at that state [ns]
-        self.known = True  # that this is the unit it must be; not after it had lost its power
+        self.clock: int | None = None  # [µs], of its latest state
+        self.elapsed = 0  # ``elapsed`` at that state [ns]
+        self.identified = True  # its identity is checked; not after a loss of power
 
 
 class SeriesElastic(CanDevice):
@@ -73,9 +74,9 @@ class SeriesElastic(CanDevice):
         self._step_limit = 2.0 * robot.velocity_limit[self.joints]
         self._stamp: IntVector = np.zeros(m, dtype=np.int64)
         self._encoder, self._velocity, self._effort = np.zeros(m), np.zeros(m), np.zeros(m)
-        self._raw = np.zeros(m)  # what the encoders say, believed or not
+        self._raw = np.zeros(m)  # encoder values, plausible or not
         self._commands = np.zeros(len(self._controllers), dtype=can_frames.COMMAND_TYPE)
-        # Views of (controllers, axes), and where each joint is in them.
+        # Views of (controllers, axes), and the index of each joint in them.
         axes = self._commands["axis"]
         self._axis = {field: axes[field] for field in ("position", "velocity", "effort", "stiffness", "damping")}
         self._mode = self._commands["mode"]
@@ -91,14 +92,14 @@ class SeriesElastic(CanDevice):
     # --- start and end --------------------------------------------------------------------------------------------
 
     def find(self) -> None:
-        """Ask every controller who it is, and check that the joints are where the robot hangs."""
+        """Check every controller's identity, and that the joints are in the calibration pose."""
         super().find()
         assert self.joint_state is not None
         robot = self.context.robot
         pose = robot.tables.nominal_posture | robot.tables.calibration.pose
         for unit in self._controllers.values():
             if unit.status & _CALIBRATED:
-                continue  # it has had power ever since that was checked: the robot may be anywhere
+                continue  # checked since power-on: the robot may be in any pose
             for row in unit.rows:
                 position, expected = float(self.joint_state.position[row]), pose.get(self._names[row], 0.0)
                 if abs(position - expected) > robot.tables.calibration.tolerance:
@@ -109,13 +110,11 @@ class SeriesElastic(CanDevice):
                     )
 
     def enable(self) -> None:
-        """Switch the motors on, controller after controller; each holds its joints where they are."""
+        """Switch the motors on, controller after controller; each holds its joints."""
         for unit in self._controllers.values():
             for code in (Code.CALIBRATED, Code.ENABLE):
-                if not self._ask(unit, code, f"expected it to do as asked ({code.name.lower()})").done:
-                    raise DeviceError(
-                        f"{unit.name}: it refuses to be {code.name.lower()}; expected its motors to be on"
-                    )
+                if not self._request(unit, code, f"expected a reply to {code.name.lower()}").done:
+                    raise DeviceError(f"{unit.name}: it rejects {code.name.lower()}; expected its motors to be on")
         self._enabled = True
 
     # --- the thread -----------------------------------------------------------------------------------------------
@@ -124,14 +123,14 @@ class SeriesElastic(CanDevice):
         assert isinstance(unit, _Controller)
         _, status, _, *axes = can_frames.CONTROLLER_STATE.unpack_from(data)
         now = time.monotonic_ns()
-        # By its own clock since the last state that was believed: a computer that stalls does not make jumps plausible.
+        # By its own clock since the last plausible state: a stalled computer does not make jumps plausible.
         elapsed = math.inf if unit.clock is None else 1e-6 * ((int(axes[11]) - unit.clock) & 0xFFFFFFFF)
         encoder, raw = self._encoder, self._raw
         jumped = [
             row
             for k, row in enumerate(unit.rows)
             if not abs(axes[4 * k] - encoder[row]) <= self._step_limit[row] * elapsed + JUMP_MARGIN
-        ]  # what is not a number has jumped
+        ]  # NaN counts as a jump
         for k, row in enumerate(unit.rows):
             raw[row] = axes[4 * k]
         fresh = [row for row in jumped if row not in unit.jumped]
@@ -149,13 +148,14 @@ class SeriesElastic(CanDevice):
             self._effort[row] = axes[4 * k + 2]
             self._stamp[row] = now
         self._pass_time(unit, int(axes[11]))
-        if status != unit.status or unit.jumped:
-            self._status_changed(unit, status)
+        if unit.status & _ENABLED and not status & _ENABLED:
+            unit.identified = False
+        unit.status = status
         self._judge(unit, 0.1 * max(axes[8], axes[9]), 0.01 * axes[10], self._others(unit))
         return True
 
     def _pass_time(self, unit: _Controller, clock: int) -> None:
-        """A controller says its time [µs]: the first to answer a SYNC says it for all, whoever missed some before."""
+        """Process a controller's clock [µs]: the first response to a SYNC sets ``elapsed`` for all."""
         if self._now is None:
             step = 0 if unit.clock is None else (clock - unit.clock) & 0xFFFFFFFF
             self._now = self.elapsed if unit.clock is None else unit.elapsed
@@ -163,27 +163,21 @@ class SeriesElastic(CanDevice):
                 self._now += 1000 * step
         unit.clock, unit.elapsed = clock, self._now
 
-    def _status_changed(self, unit: _Controller, status: int) -> None:
-        if unit.status & _ENABLED and not status & _ENABLED:
-            unit.known = False
-        unit.status = status
-
-    def _others(self, unit: _Controller) -> tuple[Ailment, ...]:
-        """What ails a controller besides temperature and voltage."""
+    def _others(self, unit: _Controller) -> tuple[UnitFault, ...]:
         if unit.status & _ENABLED and not unit.jumped and not unit.status & _ANY_FAULT:
             return ()
         name, others = unit.record.unit, []
         if unit.jumped:
             joints = ", ".join(self._names[row] for row in unit.jumped)
             others.append(
-                Ailment(name, Fault.ENCODER, f"the encoder of {joints} jumped; to be calibrated, then restarted")
+                UnitFault(name, Fault.ENCODER, f"the encoder of {joints} jumped; to be calibrated, then restarted")
             )
         if self._enabled and not unit.status & _ENABLED:
-            others.append(Ailment(name, Fault.DISABLED, "its motors are off: it had lost its power"))
-        others += [Ailment(name, Fault.FAULTY, text) for flag, text in _FAULTS.items() if unit.status & flag]
+            others.append(UnitFault(name, Fault.DISABLED, "its motors are off: it had lost its power"))
+        others += [UnitFault(name, Fault.FAULTY, text) for flag, text in _FAULTS.items() if unit.status & flag]
         return tuple(others)
 
-    def _hand_over(self) -> None:
+    def _provide(self) -> None:
         self.joint_state = JointMeasurement(
             self._stamp.copy(), self._encoder - self._offset, self._velocity.copy(), self._effort.copy()
         )
@@ -198,13 +192,8 @@ class SeriesElastic(CanDevice):
         self._commands["sequence"] = command.sequence & 0xFFFF
         self._mode[slots] = command.mode
         self._axis["position"][slots] = command.position + self._offset
-        for field, value in (
-            ("velocity", command.velocity),
-            ("effort", command.effort),
-            ("stiffness", command.stiffness),
-            ("damping", command.damping),
-        ):
-            self._axis[field][slots] = value
+        for field in ("velocity", "effort", "stiffness", "damping"):
+            self._axis[field][slots] = getattr(command, field)
         for unit in self._controllers.values():
             if unit.jumped:
                 self._hold_by_encoder(unit)
@@ -212,7 +201,7 @@ class SeriesElastic(CanDevice):
             self._bus.send(message)
 
     def _hold_by_encoder(self, unit: _Controller) -> None:
-        """Have joints whose encoder jumped stay: the controller's servo goes by the same encoder, wherever that is."""
+        """Hold joints whose encoder has jumped, at the encoder's value, which the controller's servo uses."""
         for row in unit.jumped:
             slot = self._slots[0][row], self._slots[1][row]
             if self._mode[slot] != JointMode.OFF:
@@ -220,8 +209,8 @@ class SeriesElastic(CanDevice):
                 self._axis["position"][slot] = self._raw[row]
                 self._axis["velocity"][slot] = self._axis["effort"][slot] = 0.0
 
-    def _tend(self) -> None:
-        """Find controllers again that had lost their power, and switch them on where that moves nothing."""
+    def _attend(self) -> None:
+        """Identify controllers that lost power, and switch them on if that moves nothing."""
         if not self._enabled:
             return
         assert self._bus is not None
@@ -230,15 +219,15 @@ class SeriesElastic(CanDevice):
                 continue
             reply = self._replies.pop(unit.number, None)
             if reply is not None and reply.code == Code.IDENTIFY and reply.identity == unit.identity:
-                unit.known = True
-            if not unit.known:
+                unit.identified = True
+            if not unit.identified:
                 self._bus.send(can_frames.request(unit.number, Code.IDENTIFY))
             elif self._may_enable(unit.rows):
                 self._bus.send(can_frames.request(unit.number, Code.CALIBRATED))
                 self._bus.send(can_frames.request(unit.number, Code.ENABLE))
 
     def _may_enable(self, rows: Sequence[int]) -> bool:
-        """Whether switching on would move nothing: wanted are places where the joints are, or damping at most."""
+        """Return whether switching on moves nothing: set-points near the joints, or damping only."""
         command = self.command
         if command is None:
             return False

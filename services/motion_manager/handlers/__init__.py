@@ -1,1 +1,1 @@
-"""What comes in from outside, one module a topic: checked, and refused with its reason or handed on."""
+"""Handlers of commands and requests, one module for each topic."""

@@ -1,68 +1,45 @@
-"""``motion_manager/behavior``: requests for a behavior, accepted or refused with the reason."""
+"""Requests for a behavior, and reactions that the devices demand."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Self
-
+from bifrost import Received
 from valor.common.behaviors import Behavior, Obstacle
-from valor.common.messages import BehaviorReply, BehaviorRequest
-from valor.common.topics import BEHAVIOR
-from valor.motion_manager.handlers.handler import RequestHandler
-from valor.motion_manager.handlers.rejections import Rejections
-from valor.motion_manager.parts import Parts
-from valor.motion_manager.states.behavior_fsm import BehaviorFsm, Conditions
+from valor.common.messages import BehaviorReply, BehaviorRequest, DeviceStatus
+from valor.common.topics import BEHAVIOR, DEVICES
+from valor.motion_manager.handlers.handler import Handler, RequestHandler
 
 
 class BehaviorHandler(RequestHandler[BehaviorRequest, BehaviorReply]):
-    """Asks the Behavior FSM on behalf of a client."""
+    """Requests behaviors of the Behavior FSM for clients."""
 
     topic = BEHAVIOR
 
-    def __init__(
-        self,
-        fsm: BehaviorFsm,
-        rejections: Rejections,
-        conditions: Callable[[], Conditions],
-        out_of_control: Callable[[Behavior], str],
-    ) -> None:
-        """Make the handler.
-
-        Args:
-            fsm: the Behavior FSM.
-            rejections: where refusals are counted.
-            conditions: gives what the robot's condition has against transitions.
-            out_of_control: gives why the Motion Manager has no robot to bring into a behavior now, or an empty text.
-        """
-        self._fsm = fsm
-        self._rejections = rejections
-        self._conditions = conditions
-        self._out_of_control = out_of_control
-
-    @classmethod
-    def of(cls, parts: Parts) -> Self:
-        """The one of a Motion Manager."""
-        return cls(parts.fsm, parts.rejections, parts.conditions, parts.custody.refusal)
-
     def handle(self, request: BehaviorRequest, origin: str) -> BehaviorReply:
-        """Answer a request of the node ``origin``."""
+        fsm = self.components.fsm
         try:
             target = Behavior(request.behavior)
         except ValueError:
-            return self._refuse(
-                origin,
-                "unknown",
-                f"unknown behavior {request.behavior[:64]!r}; expected one of {', '.join(Behavior)}",
-                Obstacle.TRANSITION,
-            )
-        if target is not self._fsm.behavior and (reason := self._out_of_control(target)):
-            return self._refuse(origin, "no_robot", reason, Obstacle.CONDITION)
-        verdict = self._fsm.request(target, self._conditions(), origin)
+            reason = f"unknown behavior {request.behavior[:64]!r}; expected one of {', '.join(Behavior)}"
+            return self._reject(origin, "unknown", reason, Obstacle.TRANSITION)
+        if target is not fsm.behavior and (reason := self.components.authority.rejection(target)):
+            return self._reject(origin, "no_robot", reason, Obstacle.CONDITION)
+        verdict = fsm.request(target, self.components.conditions(), origin)
         if not verdict.accepted:
-            return self._refuse(origin, target, verdict.reason, verdict.obstacle)
-        return BehaviorReply(True, self._fsm.behavior, verdict.reason, Obstacle.NONE)
+            return self._reject(origin, target, verdict.reason, verdict.obstacle)
+        return BehaviorReply(True, fsm.behavior, verdict.reason, Obstacle.NONE)
 
-    def _refuse(self, origin: str, kind: str, reason: str, obstacle: Obstacle) -> BehaviorReply:
-        if obstacle is not Obstacle.WAIT:  # whoever asks until it passes does nothing wrong
-            self._rejections.add(BEHAVIOR.name, origin, kind, reason)
-        return BehaviorReply(False, self._fsm.behavior, reason, obstacle)
+    def _reject(self, origin: str, kind: str, reason: str, obstacle: Obstacle) -> BehaviorReply:
+        if obstacle is not Obstacle.WAIT:  # clients repeat such requests: no error
+            self.components.rejections.add(BEHAVIOR.name, origin, kind, reason)
+        return BehaviorReply(False, self.components.fsm.behavior, reason, obstacle)
+
+
+class DevicesHandler(Handler[DeviceStatus]):
+    """Forwards the demand of the Comms Manager; ignores that of a replayed bag."""
+
+    topic = DEVICES
+    after_motor = True
+
+    def execute(self, received: Received[DeviceStatus], now: int) -> None:
+        if received.origin == DEVICES.owner:
+            self.components.device_reactions.receive(received.message)

@@ -1,1 +1,1 @@
-"""Hands: what they touch, and Cartesian goals that lead them."""
+"""Hands: contacts, loads and Cartesian goals."""

@@ -1,7 +1,7 @@
-"""Where an arm has its hand, and the steps of its joints towards a pose: kernels, so that many fit into a period.
+"""Forward and inverse kinematics of an arm, as compiled kernels.
 
-Steps are damped least squares in which joints at a limit that they would pass take no part (Wampler 1986; Nakamura &
-Hanafusa 1986; damping by the error that is left: Sugihara 2011).
+Steps are damped least squares without the joints that would exceed a limit (Wampler 1986; Nakamura & Hanafusa 1986;
+damping by the remaining error: Sugihara 2011).
 """
 
 from __future__ import annotations
@@ -13,56 +13,46 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.kernel import Expression, Kernel, clipped
-from valor.common.turns import about, rotation_vector
-from valor.robot.model import Model
-from valor.robot.quaternion import matrix
+from valor.common.kernel import Expression, Kernel, about, clipped, rotation_vector
+from valor.robot.model import Model, matrix
 from valor.robot.tables import Hand, Side
 
 APPROACH = 2.0  # speed per distance from the goal [1/s]
-POSTURE = 0.3  # rate per distance from the posture to keep to, where it does not move the hand [1/s]
-DAMPING = 0.05  # λ: from here on singular values are damped
-EXACT = 1e-6  # the same, squared, of what must not move the hand
-LESSER = 0.1  # weight of the orientation where a joint is stuck [m/rad]
-TURN = 0.3  # of the orientation beside the place, in a search [m/rad]
-LEFT = 0.05  # λ² of a search per squared error that is left …
-LEAST = 1e-6  # … and the least [m²]
-STRIDE = 0.4  # of a joint in one step of a search, at most [rad]
+POSTURE = 0.3  # rate per distance from the preferred posture, in the null space [1/s]
+DAMPING = 0.05  # λ: singular values below are damped
+EXACT = 1e-6  # λ² of the null space projection
+LESSER = 0.1  # weight of the orientation relative to the position, if a joint is stuck [m/rad]
+TURN = 0.3  # weight of the orientation relative to the position, in a search [m/rad]
+LEFT = 0.05  # λ² of a search per squared remaining error
+LEAST = 1e-6  # least λ² of a search [m²]
+STRIDE = 0.4  # largest motion of a joint in one step of a search [rad]
 
 
 @dataclass(frozen=True)
 class Speeds:
-    """The greatest of an arm that is led."""
+    """Largest speeds of an arm."""
 
     hand: float  # [m/s]
-    turn: float  # of the hand [rad/s]
+    turn: float  # of the hand's orientation [rad/s]
     joints: FloatArray  # (m,) [rad/s]
 
 
 class ArmKinematics:
-    """One arm of m joints, on a chest that w more joints turn; kernels read and write these arrays.
+    """One arm of m joints, with w joints between it and the pelvis; kernels read and write these arrays.
 
     Attributes:
-        joints: (m,) the arm's places in every joint vector. others: (w,) those between it and the pelvis.
-        position: (m,) [rad]. beside: (w,) of the others [rad].
-        place: (3,) of the target in pelvis [m]. turn: (3, 3) its rotation. carried: (6,) its own twist there.
-        posture: (m,) what redundancy is used for [rad]. stuck: (m,) 1 of joints that do not move.
-        rate: (m,) by ``lead`` and ``move`` [rad/s]. stepped: (m,) by ``search`` [rad].
-        errors: (2,) of the hand at ``position`` from the target, by ``look``, ``lead``, ``search`` [m, rad].
+        joints: (m,) indices of the arm in every joint vector. others: (w,) indices of the w joints.
+        position: (m,) [rad]. beside: (w,) positions of the others [rad].
+        place: (3,) position of the target in pelvis [m]. turn: (3, 3) its rotation. carried: (6,) its twist.
+        posture: (m,) preferred posture of the null space [rad]. stuck: (m,) 1 for joints that do not move.
+        rate: (m,) output of ``lead`` and ``move`` [rad/s]. stepped: (m,) output of ``search`` [rad].
+        errors: (2,) of the hand at ``position``, output of ``look``, ``lead``, ``search`` [m, rad].
     """
 
     def __init__(
         self, model: Model, hand: Hand, side: Side, bounds: tuple[FloatArray, FloatArray], speeds: Speeds
     ) -> None:
-        """Build the kernels.
-
-        Args:
-            model: the controller's.
-            hand: its table.
-            side: which one.
-            bounds: (m,) each, of the joints [rad].
-            speeds: of the hand and of the joints.
-        """
+        """Build the kernels; ``bounds`` are (m,) lower and upper joint positions [rad]."""
         robot, mj = model.robot, model.mj
         self.joints = robot.group_indices(f"{side}_arm")
         arm = [robot.joints[i] for i in self.joints]
@@ -90,16 +80,16 @@ class ArmKinematics:
         self.move = Kernel("move", self._move, (self.position, self.beside, self.posture), (self.rate,))
 
     def stand(self, joint_position: FloatArray) -> None:
-        """What the arm hangs at: (n,) positions of the robot's joints [rad]."""
+        """Set ``beside`` from (n,) positions of the robot's joints [rad]."""
         if self.others.size:
             self.beside[:] = joint_position[self.others]
 
     def carries(self, body: int) -> bool:
-        """Whether a body moves with the arm."""
+        """Return whether a body moves with the arm."""
         return not set(self._arm).isdisjoint(self._model.joints_above(body))
 
     def _hand(self, angles: Expression, beside: Expression) -> tuple[Expression, Expression, Expression]:
-        """Place (3,) and rotation (3, 3) in pelvis, Jacobian (6, m)."""
+        """Position (3,) and rotation (3, 3) of the hand in pelvis, Jacobian (6, m)."""
         mj = self._model.mj
         values = dict(zip(self._arm, ca.vertsplit(angles), strict=True))
         values |= dict(zip(self._others, ca.vertsplit(beside), strict=False))
@@ -124,7 +114,7 @@ class ArmKinematics:
     def _off(
         self, angles: Expression, beside: Expression, place: Expression, turn: Expression
     ) -> tuple[Expression, Expression, Expression]:
-        """(6,) from the hand to the target; how far that is (2,); Jacobian (6, m)."""
+        """Twist (6,) from the hand to the target; its norms (2,); Jacobian (6, m)."""
         at, attitude, jacobian = self._hand(angles, beside)
         twist = ca.vertcat(place - at, rotation_vector(turn @ attitude.T))
         return twist, ca.vertcat(ca.norm_2(twist[:3]), ca.norm_2(twist[3:])), jacobian
@@ -133,13 +123,13 @@ class ArmKinematics:
         return (self._off(*pose)[1],)
 
     def _lead(self, *inputs: Expression) -> tuple[Expression, Expression]:
-        """The rates towards a target."""
+        """Rates towards a target."""
         angles, beside, place, turn, carried, posture, stuck = inputs
         twist, errors, jacobian = self._off(angles, beside, place, turn)
-        # Both parts arrive together: one factor for the whole twist.
+        # Position and orientation arrive together: one factor for the twist.
         fastest = self._speeds.hand / ca.fmax(errors[0], 1e-9), self._speeds.turn / ca.fmax(errors[1], 1e-9)
         twist = ca.fmin(APPROACH, ca.fmin(*fastest)) * twist + carried
-        lesser = ca.if_else(ca.mmax(stuck) > 0.0, LESSER, 1.0)  # where a joint is stuck the place comes first
+        lesser = ca.if_else(ca.mmax(stuck) > 0.0, LESSER, 1.0)
         twist, jacobian = _weighted(lesser, twist), _weighted(lesser, jacobian)
         idle = POSTURE * (posture - angles)
         free = 1.0 - stuck
@@ -152,7 +142,6 @@ class ArmKinematics:
     def _search(
         self, angles: Expression, beside: Expression, place: Expression, turn: Expression, stuck: Expression
     ) -> tuple[Expression, Expression]:
-        """A step towards a target, of any length."""
         twist, errors, jacobian = self._off(angles, beside, place, turn)
         twist, jacobian = _weighted(TURN, twist), _weighted(TURN, jacobian)
         free = (1.0 - stuck) * (1.0 - self._passing(angles, jacobian.T @ twist))
@@ -164,7 +153,6 @@ class ArmKinematics:
         return clipped(angles + step, ca.DM(self._lower), ca.DM(self._upper)), errors
 
     def _move(self, angles: Expression, beside: Expression, posture: Expression) -> tuple[Expression]:
-        """The rates towards a posture, all joints arriving together, the hand no faster than to a goal."""
         jacobian = self._hand(angles, beside)[2]
         rate = APPROACH * (posture - angles)
         twist = jacobian @ rate
@@ -177,12 +165,11 @@ class ArmKinematics:
         )
 
     def _passing(self, angles: Expression, rate: Expression) -> Expression:
-        """1 of each joint that is at a limit and would pass it."""
+        """1 for each joint that is at a limit and would exceed it."""
         return (angles <= self._lower) * (rate < 0.0) + (angles >= self._upper) * (rate > 0.0)
 
 
 def _chain(mj: mujoco.MjModel, body: int, base: int) -> list[int]:
-    """The bodies below the base down to one."""
     chain = list[int]()
     while body not in (0, base):
         chain.append(body)
@@ -200,7 +187,6 @@ def _sparse(quaternion: FloatArray) -> Expression:
 
 
 def _weighted(turn: Expression, rows: Expression) -> Expression:
-    """Six rows, those of the orientation times a weight."""
     return ca.vertcat(rows[:3, :], turn * rows[3:, :])
 
 
@@ -211,7 +197,7 @@ def _damped(jacobian: Expression, free: Expression, twist: Expression, damping: 
 
 
 def _least_squares(jacobian: Expression, twist: Expression, idle: Expression, free: Expression) -> Expression:
-    """(m,) damped least squares for a twist (6,); what does not move the hand goes as ``idle`` says."""
+    """(m,) damped least squares for a twist (6,); ``idle`` rates are followed in the null space."""
     moving, idle = jacobian @ ca.diag(free), free * idle
     square = moving @ moving.T
     kept = _solved(square + EXACT * ca.SX.eye(6), moving @ idle)
@@ -220,6 +206,5 @@ def _least_squares(jacobian: Expression, twist: Expression, idle: Expression, fr
 
 
 def _solved(square: Expression, right: Expression) -> Expression:
-    """Of a symmetric positive definite matrix."""
     diagonal, upper, order = ca.ldl(ca.densify(square), False)
     return ca.ldl_solve(right, diagonal, upper, order)

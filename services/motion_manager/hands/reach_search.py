@@ -1,10 +1,9 @@
-"""How an arm gets to a goal that it does not get to straight: a posture for it, and postures on the way there.
+"""Path search of an arm for goals that straight motion does not reach.
 
-Who goes straight towards a goal may end in a corner of the joints' limits. So a goal's way is tried in advance, in
-strides longer than control's. Where it ends short, postures are searched that have the hand there: from where the arm
-is, where that way ended, the nominal posture and others at random within the limits. Limits are a box: from any posture
-within them a straight line in joint space leads to any other; the quickest that keeps the arm off the body is taken.
-Each period does a part of it.
+Straight motion may end in a corner of the joint limits. So it is tried in advance, in longer steps. If it ends short,
+postures that reach the goal are searched: from the arm's position, from the end of the trial, from the nominal posture
+and from random ones. The limits are a box, so straight lines in joint space connect all postures; the fastest one
+without self-collision is used. Each period computes a part.
 """
 
 from __future__ import annotations
@@ -22,37 +21,30 @@ from valor.robot.model import Model
 from valor.whole_body.model.dynamics import ModelJoints
 
 AT_ONCE = 4  # kernel calls in a period
-STRIDE = 0.04  # of the way that is tried [s]
-LONGEST = 12.0  # of it [s]
-POSTURES = 32  # from which a search begins
-STEPS = 40  # of a search
-ENOUGH = 6  # postures found
-BETWEEN = 6  # postures at random, by one of which a way may lead
-NEAR = (0.001, 0.003)  # of the goal: found [m, rad]
-ARRIVED = (0.003, 0.012)  # likewise, of the way that is tried [m, rad]
-PAIRS = 4  # of shapes whose distance is looked at in a period
-LOOKS = 0.15  # between postures whose distances are looked at [rad]
+STRIDE = 0.04  # time step of the trial [s]
+LONGEST = 12.0  # duration of the trial, at most [s]
+POSTURES = 32  # random initial postures of a search
+STEPS = 40  # steps of a search
+ENOUGH = 6  # postures to find
+BETWEEN = 6  # random intermediate postures of a path
+NEAR = (0.001, 0.003)  # largest errors of a found posture [m, rad]
+ARRIVED = (0.003, 0.012)  # largest errors of a successful trial [m, rad]
+PAIRS = 4  # pairs of shapes checked in a period
+LOOKS = 0.15  # distance of the postures checked on a path [rad]
 
 
 @dataclass(frozen=True)
 class Start:
-    """What a search begins with."""
+    """Initial values of a search."""
 
     position: FloatArray  # (m,) [rad]
     joint_position: FloatArray  # (n,) of the robot's joints [rad]
-    stuck: FloatArray  # (m,) 1 of joints that do not move
-    tried: bool  # whether the straight way is known to end short
+    stuck: FloatArray  # (m,) 1 for joints that do not move
+    tried: bool  # whether straight motion has ended short
 
 
 class ReachSearch:
-    """Of one arm, one at a time.
-
-    Attributes:
-        way: (k, m) postures that lead to the goal, once a search has found it does not get there straight [rad].
-        straight: whether the straight way was found to get there.
-        barred: whether it has found postures, and no way to any that keeps the arm off the body.
-        over: whether there is nothing left to do.
-    """
+    """Search for one arm."""
 
     def __init__(
         self,
@@ -64,16 +56,17 @@ class ReachSearch:
         bounds: tuple[FloatArray, FloatArray],
         speed: FloatArray,
     ) -> None:
-        """For an arm; ``arm`` has its target, ``tried`` is a second one for what is searched."""
+        """``arm`` has the target; ``tried`` is a second instance for the search."""
         self._arm, self._kinematics = arm, tried
         self._nominal, self._speed, self._bounds = nominal, speed, bounds
         self._clearance = _Clearance(model, arm)
         self._work: Iterator[None] = iter(())
-        self.way: list[FloatArray] = []
-        self.over, self.straight, self.barred = True, False, False
+        self.way: list[FloatArray] = []  # (k, m) postures to the goal, if straight motion does not reach it [rad]
+        self.over, self.straight = True, False  # whether the search has ended, straight motion reaches the goal
+        self.barred = False  # whether all paths to found postures collide with the body
 
     def begin(self, start: Start) -> None:
-        """Search for the arm's target as it is now."""
+        """Start a search for the arm's present target."""
         k = self._kinematics
         k.place[:], k.turn[:], k.beside[:] = self._arm.place, self._arm.turn, self._arm.beside
         k.carried[:], k.stuck[:] = 0.0, start.stuck
@@ -81,11 +74,11 @@ class ReachSearch:
         self._work = self._search(start)
 
     def stop(self) -> None:
-        """Leave it."""
+        """Abandon the search."""
         self.way, self.over, self.straight, self.barred, self._work = [], True, False, False, iter(())
 
     def advance(self) -> None:
-        """A period's part."""
+        """Compute the part of one period."""
         if not self.over:
             self.over = next(self._work, self) is self
 
@@ -107,9 +100,9 @@ class ReachSearch:
                 found.append((float((np.abs(posture - start.position) / self._speed).max()), posture))
                 if len(found) == ENOUGH:
                     break
-        quickest = [posture for _, posture in sorted(found, key=lambda each: each[0])]
-        ways = [[posture] for posture in quickest]
-        ways += [[between, posture] for between in self._betweens(start) for posture in quickest]
+        fastest = [posture for _, posture in sorted(found, key=lambda each: each[0])]
+        ways = [[posture] for posture in fastest]
+        ways += [[between, posture] for between in self._betweens(start) for posture in fastest]
         for way in ways:
             if (yield from self._clear([start.position, *way], start.joint_position)):
                 self.way = way
@@ -117,20 +110,17 @@ class ReachSearch:
         self.barred = bool(ways)
 
     def _firsts(self, start: Start, end: FloatArray) -> Iterator[FloatArray]:
-        """Postures from which a search begins."""
         lower, upper = self._bounds
         random = np.random.default_rng(20)
         for first in (end, start.position, self._nominal, *random.uniform(lower, upper, (POSTURES, len(lower)))):
             yield np.where(start.stuck, start.position, first)
 
     def _betweens(self, start: Start) -> Iterator[FloatArray]:
-        """Postures by which a way may lead."""
         random = np.random.default_rng(4).uniform(*self._bounds, (BETWEEN, len(self._nominal)))
         for posture in (self._nominal, *random):
             yield np.where(start.stuck, start.position, posture)
 
     def _try(self, position: FloatArray) -> Iterator[None]:
-        """Go straight, in strides."""
         k, (lower, upper) = self._kinematics, self._bounds
         k.position[:] = position
         for i in range(round(LONGEST / STRIDE)):
@@ -154,11 +144,10 @@ class ReachSearch:
         k.look()
 
     def _clear(self, way: list[FloatArray], joint_position: FloatArray) -> Generator[None, None, bool]:
-        """Whether the arm keeps off the body on the way."""
         for one, other in pairwise(way):
             count = max(2, int(np.abs(other - one).max() / LOOKS))
-            for share in np.linspace(1.0, 0.0, count, endpoint=False):
-                self._clearance.stand(one + share * (other - one), joint_position)
+            for fraction in np.linspace(1.0, 0.0, count, endpoint=False):
+                self._clearance.stand(one + fraction * (other - one), joint_position)
                 for pairs in self._clearance.parts:
                     yield
                     if not self._clearance.kept(pairs):
@@ -167,17 +156,13 @@ class ReachSearch:
 
 
 class _Clearance:
-    """Whether an arm keeps off the parts of the robot that it must not touch (``self_collision``).
-
-    Attributes:
-        parts: pairs of shapes, as many as a period looks at.
-    """
+    """Self-collision check of an arm (``self_collision``); ``parts``: pairs of shapes for each period."""
 
     def __init__(self, model: Model, arm: ArmKinematics) -> None:
         table, joints = model.robot.tables.self_collision, ModelJoints(model)
         self._mj, self._data, self._distance = model.mj, mujoco.MjData(model.mj), table.distance
         self._data.qpos[:7] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        self._places = joints.places
+        self._indices = joints.places
         self._arm = 7 + np.array([joints.indices.index(i) for i in arm.joints.tolist()], dtype=np.intp)
         pairs = [
             (model.shape(one), model.shape(other))
@@ -187,13 +172,13 @@ class _Clearance:
         self.parts = [pairs[i : i + PAIRS] for i in range(0, len(pairs), PAIRS)]
 
     def stand(self, position: FloatArray, joint_position: FloatArray) -> None:
-        """Look at a posture (m,) of the arm and (n,) of the robot [rad]."""
-        self._data.qpos[7:] = joint_position[self._places]
+        """Set the posture (m,) of the arm and (n,) of the robot [rad]."""
+        self._data.qpos[7:] = joint_position[self._indices]
         self._data.qpos[self._arm] = position
         mujoco.mj_kinematics(self._mj, self._data)
 
     def kept(self, pairs: list[tuple[int, int]]) -> bool:
-        """Whether these shapes are no nearer than they may be."""
+        """Return whether these pairs keep their distance."""
         most = self._distance
         return all(mujoco.mj_geomDistance(self._mj, self._data, *pair, most, None) >= most for pair in pairs)
 

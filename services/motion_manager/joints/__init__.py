@@ -1,1 +1,1 @@
-"""Joints: where each shall be, and how stiffly it is driven."""
+"""Joints: references, gains and servo compensation."""

@@ -1,7 +1,6 @@
-"""Where every joint shall be: the one place that positions commanded to the robot come from.
+"""Reference of all joints: the only source of commanded positions.
 
-Joints hold, follow set-points, or move to a posture. Whatever they do, and whenever that changes, the limiter stands
-between it and the robot.
+Joints hold, follow set-points, or move to a posture. The limiter filters every motion.
 """
 
 from __future__ import annotations
@@ -20,17 +19,19 @@ from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints, Limiter
 from valor.robot.posture_move import PostureMove
 
-SETPOINT_HORIZON = 0.02  # a set-point with velocity runs on for this long [s]: five periods of the VRC
-MOVE_VELOCITY_FACTOR = 0.3  # of a joint's velocity limit, in moves to a posture
-MOVE_VELOCITY = 0.6  # the same, at most [rad/s]
+SETPOINT_HORIZON = 0.02  # extrapolation of a set-point [s]: five periods of the VRC
+MOVE_VELOCITY_FACTOR = 0.3  # velocity of moves to a posture, fraction of a joint's limit
+MOVE_VELOCITY = 0.6  # velocity of moves to a posture, at most [rad/s]
 SHORTEST_MOVE = 0.5  # [s]
+MISMATCH = 0.6  # of velocity and fed-forward acceleration, above which no acceleration is fed forward [rad/s]
+MISMATCH_TIME = 0.1  # over which they are compared [s]
 
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Where k joints shall be at a time, within their limits."""
+    """Set-point of k joints, within their limits."""
 
-    joints: npt.NDArray[np.intp]  # (k,) their places in every joint vector
+    joints: npt.NDArray[np.intp]  # (k,) indices in every joint vector
     position: FloatArray  # (k,) [rad]
     velocity: FloatArray  # (k,) [rad/s]
     acceleration: FloatArray  # (k,) [rad/s²]
@@ -41,23 +42,28 @@ class JointReference:
     """The reference of all joints, advanced once a control period.
 
     Times are robot time [s].
+
+    Attributes:
+        inconsistent: (n,) joints whose velocity does not follow their acceleration; it is not fed forward.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
         n = len(robot.joints)
         self._limiter = Limiter(CommandedLimits.of_joints(robot))
         self._move_velocity = np.minimum(MOVE_VELOCITY_FACTOR * robot.velocity_limit, MOVE_VELOCITY)
-        followed = np.zeros((4, n))  # what is followed, of which time it is [s]
+        followed = np.zeros((4, n))  # set-points with their times [s]
         self._setpoint, self._setpoint_velocity, self._setpoint_acceleration, self._setpoint_time = followed
         self._setpoint[:] = self._limiter.position
         self._now = np.zeros(1)
         self._target, self._fresh = np.zeros((3, n)), np.zeros(1)
-        self._run_on = Kernel("setpoints", _run_on, (followed, self._now), (self._target, self._fresh))
+        self._extrapolate = Kernel("setpoints", _extrapolate, (followed, self._now), (self._target, self._fresh))
         self._targets = tuple(self._target)
         self._target_acceleration = np.zeros(n)
+        self._mismatch = np.zeros(n)
+        self.inconsistent: Joints = np.zeros(n, dtype=bool)
         self._move: PostureMove | None = None
         self._moving: Joints = np.zeros(n, dtype=bool)
-        self._running_on = False  # whether a set-point with velocity or acceleration is in force
+        self._extrapolating = False  # whether a set-point is extrapolated
 
     @property
     def position(self) -> FloatArray:
@@ -71,19 +77,16 @@ class JointReference:
 
     @property
     def acceleration(self) -> FloatArray:
-        """(n,) of what is followed, for feed-forward [rad/s²]."""
+        """(n,) of the set-points, for feed-forward [rad/s²]."""
         return self._target_acceleration
 
     @property
     def limits(self) -> CommandedLimits:
-        """Of the (n,) joints."""
+        """Limits of the (n,) joints."""
         return self._limiter.limits
 
     def take_up(self, joints: Joints, position: FloatArray) -> None:
-        """Hold joints where they are found: the only way a reference changes without passing the limiter.
-
-        For joints that were not held by this reference until now.
-        """
+        """Hold joints that this reference did not control at (n,) measured positions [rad], unfiltered."""
         self._limiter.reset(joints, position)
         self.hold(joints)
 
@@ -95,7 +98,7 @@ class JointReference:
         self._setpoint_acceleration[joints] = 0.0
 
     def follow(self, setpoint: Setpoint) -> None:
-        """Follow a set-point from now on."""
+        """Follow a set-point."""
         joints = setpoint.joints
         if self._move is not None:
             moving = np.zeros_like(self._moving)
@@ -105,10 +108,10 @@ class JointReference:
         self._setpoint_velocity[joints] = setpoint.velocity
         self._setpoint_acceleration[joints] = setpoint.acceleration
         self._setpoint_time[joints] = setpoint.time
-        self._running_on = True
+        self._extrapolating = True
 
     def move(self, joints: Joints, goal: FloatArray, now: float) -> PostureMove:
-        """Move joints to a posture, all arriving together; a move that is under way ends."""
+        """Move joints to a posture (n,) [rad], all arriving together; ends a present move."""
         if self._move is not None:
             self.hold(self._moving)
         start = self._limiter.position
@@ -127,18 +130,17 @@ class JointReference:
         return self._move
 
     def _leave_move(self, joints: Joints) -> None:
-        """These joints take no further part in a move."""
         if self._move is not None:
             self._moving = self._moving & ~joints
             if not self._moving.any():
                 self._move = None
 
     def advance(self, now: float, dt: float) -> None:
-        """Go one control period."""
+        """Advance one control period."""
         target, velocity, acceleration = self._setpoint, self._setpoint_velocity, self._setpoint_acceleration
-        if self._running_on:
+        if self._extrapolating:
             self._now[0] = now
-            self._run_on()
+            self._extrapolate()
             target, velocity, acceleration = self._targets
             if not self._fresh[0]:
                 self._come_to_rest(target)
@@ -149,18 +151,24 @@ class JointReference:
             acceleration = np.where(self._moving, move_acceleration, acceleration)
             if self._move.progress(now) >= 1.0:
                 self._move = None
-        self._target_acceleration = acceleration
+        before = self._limiter.velocity
         self._limiter.advance(target, velocity, dt)
+        self._mismatch *= max(0.0, 1.0 - dt / MISMATCH_TIME)
+        self._mismatch += self._limiter.velocity - before - acceleration * dt
+        self.inconsistent = self._mismatch * np.sign(acceleration) < -MISMATCH
+        self._target_acceleration = np.where(self.inconsistent, 0.0, acceleration)
 
     def _come_to_rest(self, target: FloatArray) -> None:
-        """No set-point is fresh: what they had run on to is where the joints stay."""
-        self._setpoint[:] = target
+        """Stop at the targets; joints that cannot stop there, farther on in their direction, not behind."""
+        direction = np.sign(self._setpoint_velocity)
+        stop = np.where(direction == 0.0, target, self._limiter.stopping_point())
+        self._setpoint[:] = np.where(direction * (stop - target) > 0.0, stop, target)
         self._setpoint_velocity[:] = self._setpoint_acceleration[:] = 0.0
-        self._running_on = False
+        self._extrapolating = False
 
 
-def _run_on(followed: Expression, now: Expression) -> Sequence[Expression]:
-    """(3, n) positions, velocities and accelerations at ``now`` of what is followed; whether any of it is fresh."""
+def _extrapolate(followed: Expression, now: Expression) -> Sequence[Expression]:
+    """(3, n) set-points extrapolated to ``now``: position, velocity, acceleration; whether any is fresh."""
     position, velocity, acceleration, time = (followed[i, :] for i in range(4))
     since = now - time
     age = ca.fmax(ca.fmin(since, SETPOINT_HORIZON), 0.0)

@@ -1,1 +1,1 @@
-"""How the robot carries itself: who has the joints in each state of the Locomotion FSM."""
+"""Drivers of the states of the Locomotion FSM."""

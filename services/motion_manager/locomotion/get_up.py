@@ -1,8 +1,8 @@
-"""Getting up from the floor: key poses of a table, one after the other, each checked before the next.
+"""Getting up from the floor through the key poses of a table, each checked before the next.
 
-The joints go by their servos from key pose to key pose, minimum jerk. Which attitude the pelvis must have at the end of
-each is part of the table: a robot that is elsewhere has slipped, is held or was not lying as it seemed, and gives up.
-On its soles it balances: the ankles lead the CoM, which goes on as it moves, to the middle of the soles.
+The servos move the joints from key pose to key pose with minimum jerk. The table gives the pelvis attitude required at
+the end of each pose; outside it, the robot has slipped or is held, and gets up no further. On the soles, DCM feedback
+at the ankles moves the CoM to the middle of the soles.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ from math import asin, atan2, degrees, sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Behavior, Locomotion
+from valor.motion_manager.locomotion.driver import Driver
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import FILE, Balance, KeyPose, load
@@ -19,32 +21,21 @@ from valor.robot.posture_move import PostureMove
 from valor.whole_body.motor_command import MotorCommand
 from valor.whole_body.state import RobotState
 
-AT_REST = 0.5  # lying still, or having come to rest in a pose: angular velocity of the pelvis below [rad/s]
-COMING_TO_REST = 2.0  # at most so long after a pose's hold [s]
+AT_REST = 0.5  # angular velocity of the pelvis of a robot at rest, at most [rad/s]
+COMING_TO_REST = 2.0  # timeout for rest after a pose's hold [s]
 COM_SPEED_FILTER = 0.03  # time constant [s]
-LOWEST_COM = 0.3  # above the soles, for the DCM [m]
+LOWEST_COM = 0.3  # height above the soles for the DCM, at least [m]
 GRAVITY = 9.81  # [m/s²]
 
 
 class GetUp:
-    """One robot's way up. Times are robot time [s].
-
-    Attributes:
-        goals: (n,) where the joints are to be in each key pose [rad].
-        progress: what is being done, for people.
-        failure: why it was given up; empty: it was not.
-        done: whether the last key pose is reached.
-    """
+    """Sequence of key poses of a robot. Times are robot time [s]."""
 
     def __init__(self, robot: RobotDescription) -> None:
-        """Read the robot's table, if it has one.
-
-        Raises:
-            ConfigurationError: the table is wrong.
-        """
+        """Read the robot's table, if it has one; raises ``ConfigurationError`` if it is invalid."""
         self._robot = robot
         self._table = load(robot)
-        self.goals: list[FloatArray] = []
+        self.goals: list[FloatArray] = []  # (n,) joint positions of each key pose [rad]
         self._poses: list[KeyPose] = self._table.face_down if self._table else []
         posture = robot.nominal_posture
         for pose in self._poses:
@@ -56,15 +47,15 @@ class GetUp:
         self._no_effort = np.zeros(len(robot.joints))
         self._stage = 0
         self._move: PostureMove | None = None
-        self.progress = self.failure = ""
-        self.done = False
+        self.progress = self.failure = ""  # human-readable progress, reason of a failure; empty without
+        self.done = False  # whether the last key pose is reached
 
-    def refusal(self, state: RobotState) -> str:
-        """Why the robot cannot get up from where it lies; an empty text: it can."""
+    def rejection(self, state: RobotState) -> str:
+        """Reason why the robot cannot get up from its present pose; empty if it can."""
         if self._table is None:
             return f"getting up is not available: {self._robot.name} has no {FILE}"
         if (rate := float(np.abs(state.pelvis_angular_velocity_in_pelvis).max())) > AT_REST:
-            return f"the robot does not lie still: the pelvis turns at {rate:.1f} rad/s; expected at most {AT_REST}"
+            return f"the robot does not lie still: the pelvis rotates at {rate:.1f} rad/s; expected at most {AT_REST}"
         pitch, roll = attitude(state)
         lower, upper = self._poses[0].pitch
         if abs(roll) > self._table.roll or not lower <= pitch <= upper:
@@ -75,12 +66,12 @@ class GetUp:
         return ""
 
     def begin(self, state: RobotState, now: float) -> None:
-        """Start with the first key pose from where the joints are."""
+        """Start the first key pose from the measured joint positions."""
         self.failure, self.done, self._stage = "", False, 0
         self._go(state.joint_position, now)
 
     def update(self, state: RobotState, now: float) -> None:
-        """Go on: next key pose, done, or given up."""
+        """Continue with the next key pose, or set ``done`` or ``failure``."""
         assert self._move is not None
         pose = self._poses[self._stage]
         pitch, roll = attitude(state)
@@ -93,7 +84,7 @@ class GetUp:
         if pose.hold > 0.0 and rate > AT_REST:
             if self._move.since_arrival(now) > pose.hold + COMING_TO_REST:
                 self.failure = (
-                    f"after {pose.name} the pelvis still turns at {rate:.1f} rad/s; expected at most {AT_REST}"
+                    f"after {pose.name} the pelvis still rotates at {rate:.1f} rad/s; expected at most {AT_REST}"
                 )
             return
         lower, upper = pose.pitch
@@ -127,14 +118,9 @@ class GetUp:
 
 
 class SoleBalance:
-    """Feedback of the DCM along the soles on the ankles of a robot that is moved from pose to pose by its servos.
-
-    The estimator's odometry is of no use to a robot that lay, rolled and kneeled. What is used here it has no part in:
-    where the CoM is from the soles, by the joints and the IMU, and how fast that changes.
-    """
+    """DCM feedback on the ankles; odometry is invalid after lying, so only the CoM relative to the soles counts."""
 
     def __init__(self, robot: RobotDescription, table: Balance) -> None:
-        """Take the joints by name."""
         self._joints = np.array([robot.index[name] for name in table.joints])
         self._limits = CommandedLimits.of_joints(robot).select(self._joints)
         self._gain, self._limit = table.gain, table.limit
@@ -143,7 +129,7 @@ class SoleBalance:
         self._before = (-1.0, 0.0, 0.0)  # time [s], CoM ahead [m], its speed [m/s]
 
     def lean(self, position: FloatArray, state: RobotState, now: float) -> None:
-        """Add to the joints' reference (n,) what leads the CoM to the middle of the soles."""
+        """Add the feedback to the joint reference ``position`` (n,) [rad]."""
         forward = state.sole_rotations_in_odom[:, :2, 0].sum(0)
         way = state.com_in_odom[:2] - state.sole_positions_in_odom[:, :2].mean(0)
         ahead = float(way @ forward) / float(np.hypot(*forward)) - self._middle
@@ -161,6 +147,34 @@ class SoleBalance:
 
 
 def attitude(state: RobotState) -> tuple[float, float]:
-    """Pitch of the pelvis, −180 to 180 (face-down: 90), and how its left side is raised, −90 to 90 [deg]."""
+    """Pitch of the pelvis, −180 to 180 (face-down: 90), and its roll, left side up positive, −90 to 90 [deg]."""
     forward, left, up = state.pelvis_rotation_in_odom[2].tolist()
     return degrees(atan2(-forward, up)), degrees(asin(min(1.0, max(-1.0, left))))
+
+
+class GetUpDriver(Driver):
+    """Gets up from the floor, then changes to Stand Prep; to Fall on failure."""
+
+    states = (Locomotion.GET_UP,)
+
+    def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
+        self.components.controller.leave()
+        self.components.get_up.begin(state, now)
+
+    def proceed(self, state: RobotState, now: float) -> None:
+        components, get_up = self.components, self.components.get_up
+        before = get_up.progress
+        get_up.update(state, now)
+        if get_up.failure:
+            components.authority.fall(f"getting up was given up: {get_up.failure}")
+        elif get_up.done and (reason := components.stance.lost(state)):
+            components.authority.fall(f"getting up was given up: {reason}")
+        elif get_up.done:
+            components.estimator.reset()
+            components.detector.reset()
+            components.fsm.go(Behavior.STAND_PREP, "up again")
+        elif get_up.progress != before:
+            components.fsm.note(get_up.progress)
+
+    def drive(self, state: RobotState, now: float, dt: float) -> None:
+        self.components.get_up.drive(self.components.command, state, now)

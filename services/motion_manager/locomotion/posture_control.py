@@ -1,49 +1,50 @@
-"""The joints by their servos, in Idle, Stand Prep and Freeze: hold where they are, or move to the nominal posture.
+"""Drivers without balance control: Idle, Stand Prep and Freeze by the joints' servos, Fall without effort.
 
-A servo carries the robot's weight only by a position error, so that taking a standing robot over would let it sag.
-Instead the effort that a joint had is kept beside its servo, and wears off while the joint moves to the posture.
+A servo carries weight only by a position error, so a standing robot would sag when its servos take over. Therefore
+each joint keeps its effort as feed-forward, which fades while the joint moves to the nominal posture.
 """
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Locomotion
 from valor.motion_manager.joints.joint_reference import JointReference
+from valor.motion_manager.locomotion.driver import Driver, Release
 from valor.robot.description import RobotDescription
 from valor.robot.posture_move import PostureMove
 from valor.whole_body.motor_command import MotorCommand
+from valor.whole_body.state import RobotState
 
 SETTLING = 0.3  # after a move, until the posture counts as reached [s]
-AT_REST = 0.3  # joints slower than this have settled [rad/s]
+AT_REST = 0.3  # speed below which a joint has settled [rad/s]
 
 
 class PostureControl:
-    """Fills the command of behaviors without balance control. Times are robot time [s]."""
+    """Command of behaviors without balance control. Times are robot time [s]."""
 
     def __init__(self, robot: RobotDescription, reference: JointReference, command: MotorCommand) -> None:
         self._robot = robot
         self._reference = reference
         self._command = command
         self._everything = np.ones(len(robot.joints), dtype=bool)
-        self._effort = np.zeros(len(robot.joints))  # kept beside the servos
+        self._effort = np.zeros(len(robot.joints))  # feed-forward
         self._move: PostureMove | None = None
 
     def take_up(self, position: FloatArray, effort: FloatArray) -> None:
-        """Hold every joint where it is found, with the effort that it was found with."""
+        """Hold every joint at its measured (n,) position [rad] with its measured effort [N·m]."""
         self._move = None
         self._reference.take_up(self._everything, position)
         self._effort = self._bounded(effort)
 
     def take_over(self, position: FloatArray) -> None:
-        """Take the joints over from the Whole-Body Controller with the efforts that it commanded last.
-
-        Joints driven by force had no position command and are held where they are, ``position`` (n,) [rad]; those
-        with a set-point keep it.
-        """
+        """Take over with the last efforts; joints driven by force are held at ``position`` (n,) [rad]."""
         self._move = None
         command, reference = self._command, self._reference
-        # While the Whole-Body Controller was still taking over, the servos had a part of the torque.
+        # Before the Whole-Body Controller has full control, the servos supply a part of the torque.
         by_servo = np.where(command.force, command.drive.stiffness * (command.position - position), 0.0)
         self._effort = self._bounded(command.effort + by_servo)
         reference.take_up(command.force, position)
@@ -64,19 +65,19 @@ class PostureControl:
         return np.clip(effort, -self._robot.effort_limit, self._robot.effort_limit)
 
     def effort(self, now: float) -> FloatArray:
-        """(n,) still kept beside the servos [N·m]."""
+        """(n,) feed-forward [N·m]."""
         return self._effort if self._move is None else (1.0 - self._move.gone(now)) * self._effort
 
     def not_arrived(self, now: float, joint_velocity: FloatArray) -> str:
-        """Why the nominal posture is not reached yet; an empty text: it is."""
+        """Reason why the nominal posture is not reached yet; empty if it is."""
         if self._move is None:
-            return "stand_prep has not begun"
+            return "stand_prep has not started"
         left = self._move.remaining(now)
         if left > 0.0:
             return f"stand_prep has {left + SETTLING:.1f} s to go"
         if self._move.since_arrival(now) < SETTLING:
             return f"stand_prep has {SETTLING - self._move.since_arrival(now):.1f} s to go"
-        # A finger that trembles against something keeps nobody from standing.
+        # Only joints driven by force count: a trembling finger must not prevent Stand.
         fastest = int(np.argmax(self._command.force * np.abs(joint_velocity)))
         if (speed := abs(float(joint_velocity[fastest]))) > AT_REST:
             return (
@@ -88,3 +89,52 @@ class PostureControl:
     def drive(self, now: float) -> None:
         """Fill the command of this period."""
         self._command.hold(self._reference.position, self._reference.velocity, self.effort(now))
+
+
+class LimpDriver(Driver):
+    """No effort, only damping."""
+
+    states: ClassVar[tuple[Locomotion, ...]] = (Locomotion.FALL,)
+    release = Release.LIMP
+
+    def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
+        self.components.controller.leave()
+
+    def drive(self, state: RobotState, now: float, dt: float) -> None:
+        self.components.command.limp(state.joint_position)
+
+
+class HoldDriver(Driver):
+    """Servos hold the joints where they were found or came to rest."""
+
+    states: ClassVar[tuple[Locomotion, ...]] = (Locomotion.IDLE, Locomotion.FREEZE)
+    release = Release.HELD
+
+    def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
+        self.components.controller.leave()
+        posture = self.components.posture
+        if before is None:
+            posture.take_up(state.joint_position, state.joint_effort)
+        elif before.release is Release.LIMP:
+            posture.take_up(state.joint_position, np.zeros_like(state.joint_effort))
+        elif before.release is Release.HELD:
+            posture.hold(now)
+        else:
+            posture.take_over(state.joint_position)
+
+    def drive(self, state: RobotState, now: float, dt: float) -> None:
+        self.components.posture.drive(now)
+
+
+class StandPrepDriver(HoldDriver):
+    """Servos move the joints to the nominal posture, and hold them there."""
+
+    states: ClassVar[tuple[Locomotion, ...]] = (Locomotion.STAND_PREP,)
+
+    def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
+        super().enter(before, state, now)
+        self.components.posture.prepare(now)
+
+    def not_prepared(self, state: RobotState, now: float) -> str:
+        """Reason why the nominal posture is not reached; empty if it is."""
+        return self.components.posture.not_arrived(now, state.joint_velocity)

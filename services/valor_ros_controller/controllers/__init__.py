@@ -1,1 +1,1 @@
-"""The controllers that the three managers run, and their ROS faces."""
+"""Controllers of the three managers."""

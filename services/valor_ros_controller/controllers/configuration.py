@@ -1,10 +1,11 @@
-"""The table of trajectory controllers, ``controllers.yaml``, and what of it can change while they run."""
+"""Table of controllers, ``controllers.yaml``, and settings that change at run time."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self
 
 import numpy as np
 from msgspec import Meta, field, structs
@@ -12,7 +13,7 @@ from msgspec import Meta, field, structs
 from valor.common.arrays import FloatArray
 from valor.common.table import NonNegative, Positive, Table, read
 from valor.robot.description import RobotDescription
-from valor.valor_ros_controller.trajectory.tolerances import Tolerances
+from valor.valor_ros_controller.trajectory.waypoints import Tolerances
 from valor.valor_ros_controller.valor_escher_hw_interface import PELVIS
 
 FILE = Path(__file__).parent.parent / "controllers.yaml"
@@ -23,8 +24,8 @@ _Rate = Annotated[float, Meta(ge=0.1, le=500.0)]
 class Constraints(Table):
     """Default tolerances of a goal."""
 
-    stopped_velocity_tolerance: NonNegative  # at the goal [rad/s]; 0: not checked
-    goal_time: NonNegative  # how late the goal may be reached [s]; 0: however late
+    stopped_velocity_tolerance: NonNegative  # at the goal [rad/s or m/s]; 0: not checked
+    goal_time: NonNegative  # largest delay of the goal [s]; 0: unlimited
     decelerate_on_cancel: bool
 
 
@@ -37,7 +38,7 @@ class EachJoint(Table):
 
 
 class TrajectoryControllerConfig(Table):
-    """A controller that runs trajectories."""
+    """Trajectory controller."""
 
     groups: tuple[str, ...]
     accepted_when: dict[str, str]
@@ -47,24 +48,32 @@ class TrajectoryControllerConfig(Table):
     constraints: Constraints
     each_joint: EachJoint
 
+    def parameters(self, joints: Sequence[str]) -> dict[str, Any]:
+        """Defaults of the ROS parameters by name, without the rate of the state."""
+        values: dict[str, Any] = {
+            "allow_partial_joints_goal": self.allow_partial_joints_goal,
+            "action_monitor_rate": self.action_monitor_rate,
+            **{f"constraints.{key}": value for key, value in structs.asdict(self.constraints).items()},
+        }
+        for joint in joints:
+            values |= {f"constraints.{joint}.{key}": value for key, value in structs.asdict(self.each_joint).items()}
+        return values
+
 
 class TrackingControllerConfig(Table):
-    """A controller that follows what the robot does."""
+    """Tracking controller, which follows the robot."""
 
     groups: tuple[str, ...]
     state_publish_rate: _Rate
     goals: str
 
 
-C = TypeVar("C", TrajectoryControllerConfig, TrackingControllerConfig)
-
-
 class ControllersTable(Table):
     """``controllers.yaml``."""
 
     namespace: str
-    defaults: dict[str, Any]  # named only to be referred to within the file
-    legs: dict[str, Any]  # likewise
+    defaults: dict[str, Any]  # for references within the file
+    legs: dict[str, Any]  # for references within the file
     joint_controllers: dict[str, TrajectoryControllerConfig]
     tracking_controllers: dict[str, TrackingControllerConfig]
     robot_controllers: dict[str, TrajectoryControllerConfig] = field(default_factory=dict)
@@ -74,14 +83,12 @@ class ControllersTable(Table):
         """Read the table.
 
         Raises:
-            ConfigurationError: the file or a key is missing or wrong.
+            ConfigurationError: the file or a key is missing or invalid.
         """
         return read(cls, file)
 
     def of(self, robot: RobotDescription) -> Self:
-        """Those whose limb a robot has: a controller of no joints is none."""
-
-        def there(controllers: dict[str, C]) -> dict[str, C]:
+        def present(controllers: dict[str, Any]) -> dict[str, Any]:
             return {
                 name: config
                 for name, config in controllers.items()
@@ -90,57 +97,48 @@ class ControllersTable(Table):
 
         return structs.replace(
             self,
-            joint_controllers=there(self.joint_controllers),
-            tracking_controllers=there(self.tracking_controllers),
-            robot_controllers=there(self.robot_controllers),
+            joint_controllers=present(self.joint_controllers),
+            tracking_controllers=present(self.tracking_controllers),
+            robot_controllers=present(self.robot_controllers),
         )
 
     def bases(self, name: str) -> tuple[str, str]:
-        """What the names of a controller's interfaces begin with: ViGIR's, then ros2_control's."""
+        """Prefixes of a controller's interface names: ViGIR's, then ros2_control's."""
         return f"{self.namespace}/{name}", name
 
     @property
     def manipulate(self) -> bool:
-        """Whether any of them leads arms, hands or waist."""
+        """Whether any controller moves arms, hands or waist."""
         return any("manipulation" in config.accepted_when for config in self.joint_controllers.values())
 
     @property
     def names(self) -> frozenset[str]:
-        """Of all controllers."""
         return frozenset((*self.joint_controllers, *self.tracking_controllers, *self.robot_controllers))
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What may change while a controller of n joints runs; the next trajectory is run by it.
+    """Settings of a controller of n joints, effective from its next trajectory."""
 
-    Attributes:
-        allow_partial_joints_goal: whether a trajectory may leave joints out.
-        action_monitor_rate: of feedback [Hz].
-        path, goal: default tolerances.
-        goal_time: how late the goal may be reached [s]; 0: however late.
-        decelerate_on_cancel: to rest, else at once.
-        max_deceleration: (n,) [1/s²].
-    """
-
-    allow_partial_joints_goal: bool
-    action_monitor_rate: float
-    path: Tolerances
-    goal: Tolerances
-    goal_time: float
-    decelerate_on_cancel: bool
-    max_deceleration: FloatArray
+    allow_partial_joints_goal: bool  # a trajectory may leave joints out
+    action_monitor_rate: float  # of feedback [Hz]
+    path: Tolerances  # default
+    goal: Tolerances  # default
+    goal_time: float  # largest delay of the goal [s]; 0: unlimited
+    decelerate_on_cancel: bool  # stop with ``max_deceleration``, else at once
+    max_deceleration: FloatArray  # (n,) [1/s²]
 
     @classmethod
-    def of(cls, config: TrajectoryControllerConfig, n: int) -> Settings:
-        """The table's own."""
-        constraints, each = config.constraints, config.each_joint
+    def of(cls, values: Mapping[str, Any], joints: Sequence[str]) -> Settings:
+        def each_joint(key: str) -> list[float]:
+            return [values[f"constraints.{joint}.{key}"] for joint in joints]
+
         return cls(
-            config.allow_partial_joints_goal,
-            config.action_monitor_rate,
-            Tolerances.default([each.trajectory] * n, 0.0),
-            Tolerances.default([each.goal] * n, constraints.stopped_velocity_tolerance),
-            constraints.goal_time,
-            constraints.decelerate_on_cancel,
-            np.full(n, each.max_deceleration_on_cancel),
+            values["allow_partial_joints_goal"],
+            values["action_monitor_rate"],
+            Tolerances.default(each_joint("trajectory"), 0.0),
+            Tolerances.default(each_joint("goal"), values["constraints.stopped_velocity_tolerance"]),
+            values["constraints.goal_time"],
+            values["constraints.decelerate_on_cancel"],
+            np.array(each_joint("max_deceleration_on_cancel")),
         )

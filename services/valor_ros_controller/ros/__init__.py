@@ -1,1 +1,1 @@
-"""The ROS 2 side: action servers, topics and what they turn into for the controllers, which know no ROS."""
+"""ROS 2 interfaces of the controllers."""

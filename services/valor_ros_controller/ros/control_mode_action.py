@@ -1,4 +1,4 @@
-"""The ROS face of the control mode controller: ViGIR's action, command topic and reports."""
+"""ROS interfaces of the control mode controller: ViGIR's action, command topic and reports."""
 
 from __future__ import annotations
 
@@ -14,48 +14,35 @@ from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeC
 from valor.common.messages import ModeStatus
 from valor.ros.deferred_action_server import DeferredActionServer
 from valor.ros.node import ProcessNode
+from valor.valor_ros_controller.control_modes import ModeReport
 from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
-from valor.valor_ros_controller.controllers.mode_requests import ModeReport
 from valor.valor_ros_controller.ros.node import LATCHED
 
 ACTION = "mode_controllers/control_mode_controller/change_control_mode"
 COMMAND = "flor/controller/mode_command"
 REPORT = "flor/controller/mode"
 NAME = "flor/controller/mode_name"
-REPORT_PERIOD = 1_000_000_000  # reports are repeated so often [ns of robot time]
+REPORT_PERIOD = 1_000_000_000  # of unchanged reports [ns of robot time]
 
 
 class _ModeGoal:
-    """A goal of the action."""
-
-    def __init__(self, face: ControlModeAction, handle: ServerGoalHandle) -> None:
-        self._face = face
-        self._handle = handle
+    def __init__(self, action: ControlModeAction, handle: ServerGoalHandle) -> None:
+        self._action, self._handle = action, handle
 
     def processing(self, report: ModeReport) -> None:
-        self._handle.publish_feedback(ChangeControlMode.Feedback(feedback=self._face.message(report)))
+        self._handle.publish_feedback(ChangeControlMode.Feedback(feedback=self._action.message(report)))
 
     def finish(self, report: ModeReport) -> None:
         state = "succeed" if report.status & ModeStatus.MODE_ACCEPTED else "abort"
-        result = ChangeControlMode.Result(result=self._face.message(report))
-        self._face.server.finish(self._handle, state, result)
+        result = ChangeControlMode.Result(result=self._action.message(report))
+        self._action.server.finish(self._handle, state, result)
 
 
 class ControlModeAction:
-    """Control modes on ROS.
-
-    Attributes:
-        server: the action server.
-    """
+    """Control modes on ROS."""
 
     def __init__(self, node: ProcessNode, controller: ControlModeController, stamp: Time) -> None:
-        """Open the interfaces.
-
-        Args:
-            node: the ROS node.
-            controller: is asked and reported of.
-            stamp: robot time, kept up to date by its owner.
-        """
+        """``stamp``: robot time, updated by its owner."""
         self._controller = controller
         self._stamp = stamp
         self._report = node.create_publisher(ControlModeStatus, REPORT, LATCHED)
@@ -64,12 +51,11 @@ class ControlModeAction:
         self._mode = ""
         self._repeat_at = 0
         self.server = DeferredActionServer(
-            node, ChangeControlMode, ACTION, self._goal, self._cancel, late=self._late if node.others else None
+            node, ChangeControlMode, ACTION, self._goal, self._cancel, on_late=self._late if node.others else None
         )
         node.create_subscription(VigirControlModeCommand, COMMAND, self._command, 10)
 
     def message(self, report: ModeReport) -> Any:
-        """The message for a report, stamped now."""
         message = ControlModeStatus()
         message.header.stamp = Time(sec=self._stamp.sec, nanosec=self._stamp.nanosec)
         message.requested_control_mode = report.requested
@@ -92,13 +78,13 @@ class ControlModeAction:
     def _goal(self, handle: ServerGoalHandle) -> None:
         self._controller.request(handle.request.mode_request, _ModeGoal(self, handle))
 
-    def _late(self, _: str) -> Any:
+    def _late(self, handle: ServerGoalHandle, _: str) -> None:
         current, status = self._controller.report.current, ModeStatus.MODE_REJECTED | ModeStatus.ERR_UNKNOWN
-        return ChangeControlMode.Result(result=self.message(ModeReport("", current, status)))
+        _ModeGoal(self, handle).finish(ModeReport("", current, status))
 
     @staticmethod
     def _cancel(_: ServerGoalHandle) -> CancelResponse:
-        # Half a transition cannot be taken back. What may be wanted instead, freeze or soft_stop, preempts it.
+        # A started transition cannot be reverted; freeze and soft_stop preempt it.
         return CancelResponse.REJECT
 
     def _command(self, message: Any) -> None:

@@ -1,4 +1,4 @@
-"""The one ROS node of the VRC, and the thread that runs its callbacks."""
+"""ROS node of the VRC, and the thread of its callbacks."""
 
 from __future__ import annotations
 
@@ -12,69 +12,60 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, ShutdownException
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from valor.common.floods import TopicFloods
-from valor.ros.lateness import timely
+from valor.common.input_checks import TopicFloods
+from valor.ros.lateness import reject_late
 from valor.ros.node import ProcessNode, RosSide
 from valor.service import Context
 
-PERIOD = 4e-3  # that of the update loop [s]
-CALLBACKS = 10  # in one
+PERIOD = 4e-3  # of the update loop [s]
+CALLBACKS = 10  # per period
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of topics that say how things are: who joins late is told the last message, too."""
+"""QoS of states: late subscribers receive the last message."""
 
 _log = logging.getLogger("ros")
 
 
-class _CommandNode(ProcessNode):
-    """A node whose subscriptions are commands, and counted; those of other computers must be timely."""
+class CommandNode(ProcessNode):
+    """Node whose subscriptions count commands, and reject late ones of other hosts."""
 
     def __init__(self, name: str, context: rclpy.Context, *, others: bool) -> None:
-        """Join; ``others``: other computers may command."""
+        """``others``: other hosts may command."""
         self.floods = TopicFloods(
             lambda topic: (publisher.node_name for publisher in self.get_publishers_info_by_topic(topic))
         )
-        super().__init__(name, context, knows_time=True, others=others)
+        super().__init__(name, context, sets_time=True, others=others)
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any) -> Any:
-        """Of a command, counted."""
+        return super().create_subscription(msg_type, topic, self.checked(topic, callback), qos_profile, **options)
+
+    def checked(self, topic: str, callback: Any) -> Any:
+        """Callback that counts the messages of a topic and rejects late ones."""
         name = self.resolve_topic_name(topic)
-        counted = self.floods.counted(name, callback)
-        obeyed = timely(name, counted, others=self.others)
-        return super().create_subscription(msg_type, topic, obeyed, qos_profile, **options)
+        return reject_late(name, self.floods.counted(name, callback), others=self.others)
 
 
 class RosThread(threading.Thread):
-    """Owns the node; its callbacks (goals, cancellations, commands, timers) run here and nowhere else.
-
-    Attributes:
-        node: the ROS node.
-        life: of the node.
-        floods: of the topics that it subscribes to.
-        failures: callbacks that raised: logged, counted, and the thread goes on.
-    """
+    """Runs all callbacks of the node: goals, cancellations, commands, timers."""
 
     def __init__(self, context: Context) -> None:
-        """Join the instance's ROS domain, as the command line says (``--ros-args -p update_rate:=125``).
-
-        Args:
-            context: of the process.
+        """Join the instance's ROS domain with the command line's ROS arguments.
 
         Raises:
-            ConfigurationError: the arguments are not ROS arguments.
+            ConfigurationError: invalid ROS arguments.
         """
         super().__init__(name="ros", daemon=True)
         environment = context.instance.environment()
-        node = partial(_CommandNode, others=bool(context.settings.peers))
+        node = partial(CommandNode, others=bool(context.settings.peers))
         self._side = RosSide(context.name, context.settings, environment, context.arguments, node=node)
         self.node, self.life, self._executor = self._side.node, self._side.life, self._side.executor
-        self.floods = self.node.floods
-        self.failures = 0
+        self.floods = self.node.floods  # of subscribed topics
+        self.failures = 0  # number of callbacks that raised; they are logged
         self._closing = False
 
     def run(self) -> None:
-        """The thread: so many callbacks a period at most, for it shares the interpreter with the update loop.
+        """Run callbacks, at most ``CALLBACKS`` per period: the thread shares the interpreter with the update loop.
 
-        What comes quicker waits in ROS' own queues, which keep the newest.
+        Further messages wait in ROS' queues.
         """
         done, until = 0, 0.0
         while not self._closing:
@@ -90,7 +81,7 @@ class RosThread(threading.Thread):
             except (ExternalShutdownException, ShutdownException):
                 return
             except Exception:
-                # A message that cannot be taken (text that is not UTF-8, say) must not end the thread.
+                # A message that cannot be converted (text that is not UTF-8, say) must not end the thread.
                 self.failures += 1
                 _log.exception("a ROS callback failed")
 

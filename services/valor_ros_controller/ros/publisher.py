@@ -1,24 +1,22 @@
-"""The robot's state on ROS, in ViGIR's and the standard names.
-
-Messages are serialized once and their numbers written anew (``prepared_message``). How often each is published is
-decided by ``PUBLICATIONS``.
-"""
+"""State of the robot, under ViGIR's and the standard names. Messages are serialized once (``prepared_message``)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import nan
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from control_msgs.msg import DynamicJointState, InterfaceValue
-from geometry_msgs.msg import Point, PoseStamped, Quaternion, Vector3, WrenchStamped
+from geometry_msgs.msg import Point, PoseStamped, Quaternion, TransformStamped, Vector3, WrenchStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, Imu, JointState
 from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
@@ -27,45 +25,44 @@ from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
 from valor.robot.tables import SensorNoise
 from valor.ros.limbs import FEET, HANDS, WRENCH
+from valor.ros.parameters import Parameters
 from valor.ros.prepared_message import PreparedPublisher, mark, stamp_mark
 from valor.ros.transforms import ODOM, TransformPublisher
 from valor.valor_ros_controller.ros.node import LATCHED
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
-STATE_INTERFACES = ("position", "velocity", "effort")
-"""Of every joint."""
 QUEUE = 5
-"""Depth of the state topics: reliable for whoever asks for it, but old states are let go."""
+"""Depth of reliable state topics; old states are dropped."""
 
 
 @dataclass(frozen=True)
 class Publication:
-    """One line of the table."""
+    """State with topics and rate."""
 
-    name: str
     topics: tuple[str, ...]
     rate: float  # [Hz]; at most the update rate
 
 
-PUBLICATIONS: tuple[Publication, ...] = (
-    Publication("clock", ("clock",), 250.0),  # in simulation
-    Publication("joints", ("joint_states",), 250.0),
-    # What joint_states has, at three times the length: for tools that know nothing else.
-    Publication("interfaces", ("dynamic_joint_states",), 50.0),
-    Publication("imu", ("imu/data",), 250.0),
-    Publication("feet", tuple(WRENCH.format(foot) for foot in FEET), 125.0),
-    Publication("hands", tuple(WRENCH.format(hand) for hand in HANDS), 125.0),
-    Publication("pelvis", ("flor/state/pelvis_pose_world", "odom"), 125.0),
-    Publication("transforms", ("/tf",), 50.0),
-    Publication("battery", ("battery_state",), 1.0),
-)
-RATES = {publication.name: publication.rate for publication in PUBLICATIONS}
-TOPICS = {publication.name: publication.topics for publication in PUBLICATIONS}
+PUBLICATIONS: Mapping[str, Publication] = {
+    "clock": Publication(("clock",), 250.0),  # in simulation
+    "joints": Publication(("joint_states",), 250.0),
+    "imu": Publication(("imu/data",), 250.0),
+    "wrenches": Publication(tuple(WRENCH.format(limb) for limb in FEET + HANDS), 125.0),
+    "pelvis": Publication(("flor/state/pelvis_pose_world", "odom"), 125.0),
+    "transforms": Publication(("/tf",), 50.0),
+    "battery": Publication(("battery_state",), 1.0),
+}
 
 
 def _diagonal(variances: Iterable[float]) -> FloatArray:
-    """Row-major covariance."""
+    """Row-major diagonal covariance."""
     return np.diag(list(variances)).ravel()
+
+
+def _stamped(kind: type[Any], frame: str, **fields: object) -> Any:
+    message = kind(**fields)
+    message.header.stamp, message.header.frame_id = stamp_mark(), frame
+    return message
 
 
 def _mark_vector(vector: Vector3 | Point, first: int) -> None:
@@ -73,33 +70,19 @@ def _mark_vector(vector: Vector3 | Point, first: int) -> None:
 
 
 def _mark_quaternion(q: Quaternion, first: int) -> None:
-    """In our order: w, x, y, z."""
+    """Mark w, x, y, z in this order."""
     q.w, q.x, q.y, q.z = map(mark, range(first, first + 4))
 
 
 def _joint_states(robot: RobotDescription) -> JointState:
     n = len(robot.joints)
-    message = JointState(name=list(robot.joints))
-    message.header.stamp = stamp_mark()
+    message = _stamped(JointState, "", name=list(robot.joints))
     message.position, message.velocity, message.effort = ([mark(n * i + j) for j in range(n)] for i in range(3))
     return message
 
 
-def _interfaces(robot: RobotDescription) -> DynamicJointState:
-    """As ros2_control's joint_state_broadcaster tells them; the marks are those of ``_joint_states``."""
-    n = len(robot.joints)
-    message = DynamicJointState(joint_names=list(robot.joints))
-    message.header.stamp = stamp_mark()
-    message.interface_values = [
-        InterfaceValue(interface_names=STATE_INTERFACES, values=[mark(n * i + j) for i in range(len(STATE_INTERFACES))])
-        for j in range(n)
-    ]
-    return message
-
-
 def _imu(frame: str, noise: SensorNoise) -> Imu:
-    message = Imu()
-    message.header.stamp, message.header.frame_id = stamp_mark(), frame
+    message = _stamped(Imu, frame)
     _mark_quaternion(message.orientation, 0)
     _mark_vector(message.angular_velocity, 4)
     _mark_vector(message.linear_acceleration, 7)
@@ -110,25 +93,22 @@ def _imu(frame: str, noise: SensorNoise) -> Imu:
 
 
 def _wrench(frame: str) -> WrenchStamped:
-    message = WrenchStamped()
-    message.header.stamp, message.header.frame_id = stamp_mark(), frame
+    message = _stamped(WrenchStamped, frame)
     _mark_vector(message.wrench.force, 0)
     _mark_vector(message.wrench.torque, 3)
     return message
 
 
 def _pelvis_pose(frame: str) -> PoseStamped:
-    message = PoseStamped()
-    message.header.stamp, message.header.frame_id = stamp_mark(), frame
+    message = _stamped(PoseStamped, frame)
     _mark_vector(message.pose.position, 0)
     _mark_quaternion(message.pose.orientation, 3)
     return message
 
 
 def _odometry(frame: str, base_frame: str, noise: SensorNoise) -> Odometry:
-    """The Motion Manager's estimator says how sure it is; the gyroscope's noise is the IMU's."""
-    message = Odometry(child_frame_id=base_frame)
-    message.header.stamp, message.header.frame_id = stamp_mark(), frame
+    """Variances of the estimator are marked; those of the gyroscope are the IMU's."""
+    message = _stamped(Odometry, frame, child_frame_id=base_frame)
     message.pose.pose = _pelvis_pose(frame).pose
     _mark_vector(message.twist.twist.linear, 7)
     _mark_vector(message.twist.twist.angular, 10)
@@ -137,12 +117,24 @@ def _odometry(frame: str, base_frame: str, noise: SensorNoise) -> Odometry:
     return message
 
 
-class Publisher:
-    """Publishes a cycle's state. Used from the update thread alone.
+def publish_static(node: Node, parameters: Parameters, fixed: Sequence[TransformStamped], odom: str) -> None:
+    """Publish ``/tf_static``: ``fixed`` and, by parameter ``publish_map``, the identity ``map`` → ``odom`` (REP 105).
 
-    Attributes:
-        transforms: of the robot.
+    The names of the topic and of ``map`` are absolute: robots in one domain share them.
     """
+    publisher = node.create_publisher(TFMessage, "/tf_static", LATCHED)
+    identity = TransformStamped(child_frame_id=odom)
+    identity.header.frame_id = "map"
+
+    def publish(with_map: bool) -> None:
+        publisher.publish(TFMessage(transforms=[*fixed, identity] if with_map else fixed))
+
+    text = "the identity as map → odom; false where a localiser publishes it"
+    publish(parameters.declare("publish_map", True, text, on_change=publish))
+
+
+class Publisher:
+    """Publishes the state of a cycle. Update thread."""
 
     def __init__(
         self,
@@ -155,72 +147,63 @@ class Publisher:
         simulated: bool,
         prefix: str = "",
     ) -> None:
-        """Make publishers and messages.
+        """Create publishers and messages.
 
-        Args:
-            node: the ROS node.
-            robot: its description.
-            tree: links and frames.
-            stamp: robot time, shared by all headers and kept up to date by its owner.
-            rate: of the update loop [Hz].
-            simulated: whether robot time is to be everybody's clock.
-            prefix: of frames' names.
+        ``stamp``: robot time, updated by its owner; ``rate``: of the update loop [Hz]; ``simulated``: whether to
+        publish ``/clock``; ``prefix``: of frames' names.
         """
 
         def prepared(topic: str, message: object, count: int) -> PreparedPublisher:
-            return PreparedPublisher(node, [topic], message, count, stamp=stamp, queue=QUEUE)
-
-        def wrenches(name: str, sites: list[str] | list[str | None]) -> list[PreparedPublisher | None]:
-            return [
-                None if site is None else prepared(topic, _wrench(prefix + tree.frame_of(site)), 6)
-                for topic, site in zip(TOPICS[name], sites, strict=True)
-            ]
+            return PreparedPublisher(node, topic, message, count, stamp=stamp, queue=QUEUE)
 
         tables = robot.tables
-        (joints_topic,), (interfaces_topic,), (imu_topic,), (pose_topic, odom_topic) = (
-            TOPICS[name] for name in ("joints", "interfaces", "imu", "pelvis")
+        (joints_topic,), (imu_topic,), (pose_topic, odom_topic) = (
+            PUBLICATIONS[name].topics for name in ("joints", "imu", "pelvis")
         )
         noise = max((profile.noise for profile in tables.actuators.values()), key=lambda noise: noise.gyroscope)
         self._cycle = 0
         node.create_publisher(String, "robot_description", LATCHED).publish(String(data=tree.urdf))
-        self._clock = node.create_publisher(Clock, *TOPICS["clock"], 1) if simulated else None
+        self._clock = node.create_publisher(Clock, *PUBLICATIONS["clock"].topics, 1) if simulated else None
         self._clock_message = Clock(clock=stamp)
         self._joints = prepared(joints_topic, _joint_states(robot), 3 * len(robot.joints))
         self._joint_vectors = self._joints.values.reshape(3, -1)
-        self._interfaces = prepared(interfaces_topic, _interfaces(robot), 3 * len(robot.joints))
         self._imu = prepared(imu_topic, _imu(prefix + tree.frame_of(tables.imu.site), noise), 10)
-        self._feet = wrenches("feet", [tables.feet.left.sole, tables.feet.right.sole])
-        hands = (tables.hands.left, tables.hands.right)
-        self._hands = wrenches("hands", [None if hand is None else hand.site for hand in hands])
+        hands = (hand.site if hand else None for hand in (tables.hands.left, tables.hands.right))
+        sites = (tables.feet.left.sole, tables.feet.right.sole, *hands)
+        self._wrenches = [
+            (prepared(topic, _wrench(prefix + tree.frame_of(site)), 6), f"{side}_{limb}_wrench")
+            for topic, site, (limb, side) in zip(
+                PUBLICATIONS["wrenches"].topics, sites, product(("foot", "hand"), ("left", "right")), strict=True
+            )
+            if site is not None
+        ]
         self._pose = prepared(pose_topic, _pelvis_pose(prefix + ODOM), 7)
         self._odom = prepared(odom_topic, _odometry(prefix + ODOM, prefix + tree.base_frame, noise), 22)
-        self.transforms = TransformPublisher(node, tree, robot, stamp, prefix=prefix)
-        self._battery = node.create_publisher(BatteryState, *TOPICS["battery"], 1)
+        self.transforms = TransformPublisher(node, tree, robot, stamp, prefix=prefix)  # publisher of the robot's tf
+        self._battery = node.create_publisher(BatteryState, *PUBLICATIONS["battery"].topics, 1)
         unknown = dict.fromkeys(("current", "charge", "capacity", "design_capacity", "percentage", "temperature"), nan)
         self._battery_message = BatteryState(present=True, **unknown)
         self._battery_message.header.stamp = stamp
         self._schedule(rate)
 
     def _schedule(self, rate: float) -> None:
-        """Spread the work over cycles; what comes equally often comes together, to be matched by its stamps."""
-        self._joints_every = max(1, round(rate / RATES["joints"]))
+        """Spread publications over cycles; equal rates share cycles, so that stamps match."""
+        self._joints_every = max(1, round(rate / PUBLICATIONS["joints"].rate))
         self._due: list[tuple[int, int, Callable[[ValorEscherHWInterface], None]]] = []
-        offsets: dict[int, int] = {}  # of what comes in every so many cycles
+        offsets: dict[int, int] = {}  # by number of cycles between publications
         for name, publish in (
             ("imu", self._publish_imu),
-            ("feet", self._publish_feet),
-            ("hands", self._publish_hands),
+            ("wrenches", self._publish_wrenches),
             ("pelvis", self._publish_pelvis),
             ("transforms", self._publish_transforms),
-            ("interfaces", self._publish_interfaces),
             ("battery", self._publish_battery),
         ):
-            every = max(1, round(rate / RATES[name]))
+            every = max(1, round(rate / PUBLICATIONS[name].rate))
             offset = offsets.setdefault(every, len(offsets) % every)
             self._due.append((every, offset, publish))
 
     def publish(self, hw: ValorEscherHWInterface) -> None:
-        """Publish what else is due in this cycle."""
+        """Publish what is due in this cycle, after ``publish_measured``."""
         cycle = self._cycle
         self._cycle += 1
         for every, offset, publish in self._due:
@@ -228,10 +211,7 @@ class Publisher:
                 publish(hw)
 
     def publish_measured(self, hw: ValorEscherHWInterface) -> None:
-        """Publish what waits for nothing but the measurement: the clock, before all that bears its stamp, and joints.
-
-        Before ``publish``; robot time is in the stamp already.
-        """
+        """Publish what depends only on the measurement: the clock, before messages with its stamp, and joints."""
         if self._clock:
             self._clock.publish(self._clock_message)
         if self._cycle % self._joints_every:
@@ -241,14 +221,6 @@ class Publisher:
         vectors[0], vectors[1], vectors[2] = measured.joint_position, measured.joint_velocity, measured.joint_effort
         self._joints.publish()
 
-    def _publish_interfaces(self, hw: ValorEscherHWInterface) -> None:
-        if not self._interfaces.heard:
-            return
-        measured = _measured(hw)
-        values = (measured.joint_position, measured.joint_velocity, measured.joint_effort)
-        self._interfaces.values[:] = np.concatenate(values)
-        self._interfaces.publish()
-
     def _publish_imu(self, hw: ValorEscherHWInterface) -> None:
         measured, values = _measured(hw), self._imu.values
         values[:4] = measured.imu_orientation
@@ -256,20 +228,10 @@ class Publisher:
         values[7:] = measured.imu_linear_acceleration
         self._imu.publish()
 
-    def _publish_feet(self, hw: ValorEscherHWInterface) -> None:
-        measured = _measured(hw)
-        self._publish_wrenches(self._feet, measured.left_foot_wrench, measured.right_foot_wrench)
-
-    def _publish_hands(self, hw: ValorEscherHWInterface) -> None:
-        measured = _measured(hw)
-        self._publish_wrenches(self._hands, measured.left_hand_wrench, measured.right_hand_wrench)
-
-    @staticmethod
-    def _publish_wrenches(publishers: list[PreparedPublisher | None], *wrenches: FloatArray) -> None:
-        for publisher, wrench in zip(publishers, wrenches, strict=True):
-            if publisher is not None:
-                publisher.values[:] = wrench
-                publisher.publish()
+    def _publish_wrenches(self, hw: ValorEscherHWInterface) -> None:
+        for publisher, field in self._wrenches:
+            publisher.values[:] = getattr(hw.measured, field)
+            publisher.publish()
 
     def _publish_pelvis(self, hw: ValorEscherHWInterface) -> None:
         motion = hw.motion
@@ -299,6 +261,6 @@ class Publisher:
 
 
 def _measured(hw: ValorEscherHWInterface) -> Proprioceptor:
-    """The newest measurement; a cycle is run only when there is one."""
+    """Latest measurement, present in every cycle."""
     assert hw.measured is not None
     return hw.measured

@@ -1,11 +1,7 @@
-"""Joint trajectories: checked way-points, and splines through them.
+"""Joint trajectories: checked way-points, and splines through them. Without input and output.
 
-The meaning is that of ros2_controllers' ``joint_trajectory_controller`` (Jazzy): between two points that both carry
-velocities the path is cubic, with accelerations quintic, else linear; before the first point it comes from where the
-robot was told to be. What is stricter here: every number is finite, every point and every point of the splines lies
-within the joints' limits, and no trajectory begins with a jump. No input or output in this package.
-
-::
-
-    errors, splines, waypoints, execution ◄── admission        tolerances
+The semantics are those of ros2_controllers' ``joint_trajectory_controller`` (Jazzy): between two points the path is
+cubic if both have velocities, quintic if both have accelerations too, else linear; the first segment begins at the
+set-point. In addition every number is finite, points and splines lie within the joints' limits, and no trajectory
+begins with a jump.
 """

@@ -1,4 +1,4 @@
-"""Which trajectories are obeyed: way-points as they come are checked, and set on their way from the set-point."""
+"""Admission of trajectories: checks of way-points, and the way from the set-point to the first one."""
 
 from __future__ import annotations
 
@@ -8,29 +8,26 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits, Indices
-from valor.valor_ros_controller.trajectory.errors import ErrorCode, InvalidTrajectoryError
 from valor.valor_ros_controller.trajectory.execution import Trajectory
 from valor.valor_ros_controller.trajectory.splines import sampled, spline
-from valor.valor_ros_controller.trajectory.waypoints import Point, Waypoints
+from valor.valor_ros_controller.trajectory.waypoints import ErrorCode, InvalidTrajectoryError, Point, Waypoints
 
-START_TOLERANCE = 0.1
-"""How far a point at time 0 may be from the present set-point [rad or m]: it tells where the sender thinks we are."""
-LONGEST_WAIT = 600.0
-"""A trajectory may not begin later than this [s]: a later one is stamped with another clock."""
+START_TOLERANCE = 0.1  # distance of a point at time 0, the sender's assumed position, from the set-point [rad or m]
+LONGEST_WAIT = 600.0  # until a trajectory begins; a later one is stamped with another clock [s]
 _END_VELOCITY = 1e-6  # [1/s]
-_JOINS = (0.1, 0.2, 0.4)  # after which a trajectory of dense points is joined that begins beside the set-point [s]
-_DELAYS = (0.0, 0.1, 0.3, 1.0)  # parts of the most that a trajectory may be late, one tried after the other
+_JOINS = (0.1, 0.2, 0.4)  # times at which dense trajectories that begin beside the set-point may be joined [s]
+_DELAYS = (0.0, 0.1, 0.3, 1.0)  # fractions of the allowed delay, tried in order
 
 
 def _range(limits: CommandedLimits, joint: int) -> str:
     return f"its limits are {limits.lower[joint]:g} to {limits.upper[joint]:g} {limits.units[joint]}"
 
 
-def _pace(limits: CommandedLimits, joint: int) -> str:
+def _speed(limits: CommandedLimits, joint: int) -> str:
     return f"its limit is {limits.velocity[joint]:g} {limits.units[joint]}/s"
 
 
-# --- way-points by themselves -----------------------------------------------------------------------------------------
+# --- way-points -------------------------------------------------------------------------------------------------------
 
 
 def check_waypoints(
@@ -41,10 +38,10 @@ def check_waypoints(
     allow_partial: bool = False,
     at_rest: bool = True,
 ) -> Waypoints:
-    """Check a trajectory as it came and lay splines through it; ``at_rest``: it must end so.
+    """Check a received trajectory and lay splines through it; ``at_rest``: it must end at rest.
 
     Raises:
-        InvalidTrajectoryError: with the code and the text that the client gets.
+        InvalidTrajectoryError: with code and text for the client.
     """
     columns = _columns(names, limits, allow_partial)
     if not points:
@@ -64,23 +61,23 @@ def check_waypoints(
 
 
 def _columns(names: Sequence[str], limits: CommandedLimits, allow_partial: bool) -> Indices:
-    """Where the trajectory's joints stand in the controller's order."""
-    place = {name: i for i, name in enumerate(limits.names)}
+    """Indices of the trajectory's joints in the controller's order."""
+    index = {name: i for i, name in enumerate(limits.names)}
     if not names:
         text = f"no joint names; expected {', '.join(limits.names)}"
-    elif unknown := [name for name in names if name not in place]:
+    elif unknown := [name for name in names if name not in index]:
         text = f"unknown joint {unknown[0]!r}; the controller's joints are {', '.join(limits.names)}"
     elif twice := [name for i, name in enumerate(names) if name in names[:i]]:
         text = f"joint {twice[0]!r} is named twice"
     elif not allow_partial and (missing := [name for name in limits.names if name not in names]):
         text = f"joints missing: {', '.join(missing)} (allow_partial_joints_goal is false)"
     else:
-        return np.array([place[name] for name in names], dtype=np.intp)
+        return np.array([index[name] for name in names], dtype=np.intp)
     raise InvalidTrajectoryError(text, ErrorCode.INVALID_JOINTS)
 
 
 def _states(names: Sequence[str], points: Sequence[Point]) -> tuple[FloatArray, Indices]:
-    """The points' ``states`` and ``order``, as of ``Waypoints``."""
+    """``states`` and ``order`` of ``Waypoints``."""
     m = len(names)
     states, order = np.zeros((3, len(points), m)), np.ones(len(points), dtype=np.intp)
     for i, point in enumerate(points):
@@ -91,7 +88,7 @@ def _states(names: Sequence[str], points: Sequence[Point]) -> tuple[FloatArray, 
             if len(values) == 0 and field != "positions":
                 continue
             if len(values) != m:
-                raise InvalidTrajectoryError(f"point {i} has {len(values)} {field}; expected {m}, one a joint")
+                raise InvalidTrajectoryError(f"point {i} has {len(values)} {field}; expected {m}, one per joint")
             target[:] = values
             if not (finite := np.isfinite(target)).all():
                 joint = int(np.argmin(finite))
@@ -104,7 +101,7 @@ def _states(names: Sequence[str], points: Sequence[Point]) -> tuple[FloatArray, 
 
 
 def _times(points: Sequence[Point]) -> FloatArray:
-    """(k,) when the points are reached, one after the other [s]."""
+    """Times of the points (k,), increasing [s]."""
     times = np.array([point.time_from_start for point in points])
     if times[0] < 0:
         raise InvalidTrajectoryError(f"point 0 has time_from_start {times[0]:g} s; expected 0 or more")
@@ -118,11 +115,11 @@ def _times(points: Sequence[Point]) -> FloatArray:
 
 
 def _check_states(states: FloatArray, limits: CommandedLimits) -> None:
-    """Whether the points keep within the limits."""
+    """Check the points against the limits."""
     positions, velocities, _ = states
     for values, outside, per, limit in (
         (positions, positions != limits.position_within(positions), "", _range),
-        (velocities, np.abs(velocities) > limits.fastest, "/s", _pace),
+        (velocities, np.abs(velocities) > limits.fastest, "/s", _speed),
     ):
         if outside.any():
             i, joint = np.argwhere(outside)[0]
@@ -131,7 +128,7 @@ def _check_states(states: FloatArray, limits: CommandedLimits) -> None:
 
 
 def _check_end(velocity: FloatArray, limits: CommandedLimits) -> None:
-    """Whether the last point rests."""
+    """Check that the last point is at rest."""
     if (np.abs(velocity) > _END_VELOCITY).any():
         joint = int(np.argmax(np.abs(velocity)))
         value = f"{velocity[joint]:.4g} {limits.units[joint]}/s"
@@ -144,27 +141,18 @@ def _check_segments(
     limits: CommandedLimits,
     where: str = "between points {0} and {1}",
 ) -> tuple[FloatArray, FloatArray]:
-    """Whether splines keep within the limits of position and speed everywhere.
+    """Check splines (k, 6, m) of durations (k,) [s] against the limits of position and speed.
 
-    Args:
-        coefficients: (k, 6, m).
-        duration: (k,) [s].
-        limits: of the m joints.
-        where: for the error's text, with places for a segment's number and the next.
-
-    Returns:
-        (m,) greatest speed [1/s] and acceleration [1/s²] of each joint.
-
-    Raises:
-        InvalidTrajectoryError: they do not.
+    Returns (m,) maximum speed [1/s] and acceleration [1/s²] of each joint. ``where``: text of an error, with fields for
+    the numbers of a segment and the next.
     """
     most = np.zeros((2, len(limits.names)))
     for first, positions, speeds, accelerations in sampled(coefficients, duration):
-        # Written so that NaN fails.
+        # Also rejects NaN.
         if not (slow := speeds <= limits.fastest).all():
             segment, joint = np.argwhere(~slow)[0]
             value = f"move at {speeds[segment, joint]:.3g} {limits.units[joint]}/s"
-            limit = _pace(limits, joint)
+            limit = _speed(limits, joint)
         elif not (inside := (positions >= limits.lower - 1e-6) & (positions <= limits.upper + 1e-6)).all():
             segment, _, joint = np.argwhere(~inside)[0]
             reached = positions[segment, :, joint]
@@ -179,7 +167,7 @@ def _check_segments(
     return most[0], most[1]
 
 
-# --- and from where the robot is --------------------------------------------------------------------------------------
+# --- start ------------------------------------------------------------------------------------------------------------
 
 
 def begin(
@@ -189,23 +177,25 @@ def begin(
     state: FloatArray,
     limits: CommandedLimits,
     *,
+    since: int,
     error: FloatArray | None = None,
     late: float = 0.0,
 ) -> Trajectory:
-    """Go from the present set-point to the first point that is still to come, and on from there.
+    """Trajectory from the set-point to the first future point, and on from there.
 
     Args:
         waypoints: checked.
-        start: robot time at which the trajectory begins [ns]; 0: now.
-        now: robot time [ns].
-        state: (3, n) position, velocity and acceleration commanded now; joints without way-points stay there.
+        start: robot time of the trajectory's start [ns]; 0: now.
+        now: robot time [ns], from which ``time_from_start`` counts unless stamped.
+        state: (3, n) position, velocity and acceleration commanded last; joints without way-points stay.
         limits: of the controller's joints.
-        error: (n,) to within which what has these limits shall follow; None: to within any.
-        late: by so much the points may be reached later than asked, if the first is too far away for its time [s].
+        since: robot time of ``state`` [ns], where the trajectory begins. Replaced in every cycle it still advances.
+        error: (n,) within which the limited set-point must follow [rad or m]; None: unlimited.
+        late: allowed delay of the points if the first is too far away for its time [s].
 
     Raises:
-        InvalidTrajectoryError: it ended in the past, begins too far away for the speed limits or with a jump, or
-            is too jerky for its speed.
+        InvalidTrajectoryError: it ended in the past, begins too far away for the speed limits or with a jump, or has
+            jumps that the limiter cannot follow.
     """
     columns = waypoints.columns
     present, moving = state[:, columns], limits.select(columns)
@@ -215,18 +205,18 @@ def begin(
         _check_start(waypoints.states[0, 0], present[0], moving)
     joins = [first] if start or first != 1 else _joins(times, now)
     within = None if error is None else error[columns]
-    first, delay, opening = _join(waypoints, times - now, joins, present, moving, late=late, error=within)
+    first, delay, opening = _join(waypoints, times - since, joins, present, moving, late=late, error=within)
     times += delay
     coefficients = np.zeros((len(times) - first, 6, len(limits.names)))
     coefficients[:, 0] = state[0]
     coefficients[:, :, columns] = np.concatenate((opening, waypoints.coefficients[first:]))
     final = state[0].copy()
     final[columns] = waypoints.states[0, -1]
-    return Trajectory([now, *times[first:].tolist()], coefficients, final)
+    return Trajectory([since, *times[first:].tolist()], coefficients, final)
 
 
 def _joins(times: Indices, now: int) -> list[int]:
-    """Points at which to join a trajectory that begins beside the set-point: the next, else such as leave more time."""
+    """Points at which to join a trajectory that begins beside the set-point: the next, then later ones."""
     later = np.searchsorted(times, now + np.rint(np.array(_JOINS) * 1e9))
     return list(dict.fromkeys([1, *np.minimum(later, len(times) - 1).tolist()]))
 
@@ -241,12 +231,11 @@ def _join(
     late: float,
     error: FloatArray | None,
 ) -> tuple[int, int, FloatArray]:
-    """The first of some points that can be reached in ``times`` [ns].
+    """First of the points ``joins`` that can be reached in ``times`` [ns].
 
-    Returns:
-        Which; how much later than asked [ns]; (1, 6, m) coefficients of the way there.
+    Returns its index; delay [ns]; (1, 6, m) coefficients of the way there.
     """
-    refusals = []
+    rejections = []
     for join in joins:
         try:
             delay, opening, speed, acceleration = _opening(
@@ -255,20 +244,19 @@ def _join(
             if error is not None:
                 fastest = np.maximum(speed, waypoints.speed)
                 _check_jumps(fastest, np.maximum(acceleration, waypoints.acceleration), limits, error)
-        except InvalidTrajectoryError as refusal:
-            refusals.append(refusal)
+        except InvalidTrajectoryError as rejection:
+            rejections.append(rejection)
         else:
             return join, delay, opening
-    raise refusals[0]
+    raise rejections[0]
 
 
 def _opening(
     waypoints: Waypoints, first: int, time: int, present: FloatArray, limits: CommandedLimits, *, late: float
 ) -> tuple[int, FloatArray, FloatArray, FloatArray]:
-    """The segment that leads to point ``first`` in ``time`` [ns], or as much later as it needs.
+    """Segment that reaches point ``first`` in ``time`` [ns], or with the smallest possible delay.
 
-    Returns:
-        How much later [ns]; (1, 6, m) coefficients; (m,) greatest speed and acceleration.
+    Returns delay [ns]; (1, 6, m) coefficients; (m,) maximum speed and acceleration.
     """
     following = slice(first, first + 1)
     delays = [round(late * 1e9 * part) for part in _DELAYS] if late else [0]
@@ -284,7 +272,7 @@ def _opening(
 
 
 def _next_point(times: Indices, start: int, now: int) -> int:
-    """The first point to be reached after now, of a trajectory that begins when it should."""
+    """First point after now."""
     if start - now > LONGEST_WAIT * 1e9:
         raise InvalidTrajectoryError(
             f"begins {(start - now) * 1e-9:.4g} s after now ({now * 1e-9:.3f} s of robot time); expected at most "
@@ -300,7 +288,7 @@ def _next_point(times: Indices, start: int, now: int) -> int:
 
 
 def _check_start(point: FloatArray, position: FloatArray, limits: CommandedLimits) -> None:
-    """A point (m,) at time 0 says where the sender thinks that the robot is."""
+    """Check a point (m,) at time 0, the sender's assumed position."""
     distance = np.abs(point - position)
     if (distance > START_TOLERANCE).any():
         joint = int(np.argmax(distance))
@@ -311,7 +299,7 @@ def _check_start(point: FloatArray, position: FloatArray, limits: CommandedLimit
 
 
 def _check_jumps(speed: FloatArray, acceleration: FloatArray, limits: CommandedLimits, error: FloatArray) -> None:
-    """Whether a trajectory with these greatest speeds and accelerations (m,) can be followed to within (m,) errors."""
+    """Check that a trajectory with maximum speeds and accelerations (m,) can be followed within errors (m,)."""
     highest = limits.jumping_velocity(error)
     jerky = (acceleration > limits.acceleration) & (speed > highest)
     if jerky.any():

@@ -1,4 +1,4 @@
-"""A trajectory in execution."""
+"""Trajectories in execution."""
 
 from __future__ import annotations
 
@@ -12,24 +12,10 @@ from valor.robot.commanded_limits import CommandedLimits
 
 
 class Trajectory:
-    """A trajectory in execution, of all n joints of a controller, on robot time.
-
-    Made in one of three ways: ``admission.begin`` (way-points, from the present state), ``stopping`` (from motion to
-    rest) and ``holding``. Past its end it stays at the last position.
-
-    Attributes:
-        start: robot time at which it was made [ns].
-        end: robot time of the last point [ns].
-    """
+    """Trajectory of all n joints of a controller, on robot time. Past its end it stays at the last position."""
 
     def __init__(self, knots: Sequence[int], coefficients: FloatArray, final: FloatArray) -> None:
-        """Take k segments.
-
-        Args:
-            knots: k + 1 robot times [ns].
-            coefficients: (k, 6, n).
-            final: (n,) where it ends [rad or m].
-        """
+        """``knots``: k + 1 robot times [ns]; ``coefficients``: (k, 6, n); ``final``: (n,) last position [rad or m]."""
         self._knots = list(knots)
         self._coefficients = coefficients
         self._final = final
@@ -37,20 +23,20 @@ class Trajectory:
         self._matrix = np.zeros((3, 6))
         self._matrix[0, 0] = self._matrix[1, 1] = 1.0
         self._matrix[2, 2] = 2.0
+        # robot times of the creation and of the last point [ns]
         self.start, self.end = self._knots[0], self._knots[-1]
 
     @classmethod
     def holding(cls, now: int, position: FloatArray) -> Trajectory:
-        """Stay at a position."""
         return cls([now], np.zeros((0, 6, len(position))), position.copy())
 
     @classmethod
     def stopping(
         cls, now: int, position: FloatArray, velocity: FloatArray, deceleration: FloatArray, limits: CommandedLimits
     ) -> Trajectory:
-        """Come to rest from ``velocity`` (n,), each joint with its own ``deceleration`` (n,) [1/s²].
+        """Trajectory to rest from ``velocity`` (n,), each joint with its ``deceleration`` (n,) [1/s²].
 
-        A joint that would pass its limit decelerates harder, so as to stop at it.
+        A joint that would pass its limit decelerates faster, so as to stop at it.
         """
         room = np.where(velocity > 0.0, limits.upper - position, position - limits.lower)
         room = np.maximum(room, 1e-9)
@@ -59,8 +45,8 @@ class Trajectory:
         duration = speed / deceleration
         rests = np.unique(np.rint(duration * 1e9).astype(np.int64))
         knots = np.concatenate(([0], rests[rests > 0]))
-        # Between two joints' coming to rest all accelerations are constant.
-        begin = np.minimum(knots[:-1, None] * 1e-9, duration)  # (k, n) how long each has decelerated
+        # Between the stops of two joints all accelerations are constant.
+        begin = np.minimum(knots[:-1, None] * 1e-9, duration)  # (k, n) time since the start of deceleration
         sign = np.sign(velocity)
         rate = velocity - sign * deceleration * begin
         coefficients = np.zeros((len(knots) - 1, 6, len(position)))
@@ -72,13 +58,13 @@ class Trajectory:
         return cls((now + knots).tolist(), coefficients, final)
 
     def then_resting(self, velocity: FloatArray, deceleration: FloatArray, limits: CommandedLimits) -> Trajectory:
-        """This one, and behind its end, where it has ``velocity`` (n,), to rest, as ``stopping`` does."""
+        """This trajectory, then from ``velocity`` (n,) at its end to rest, as ``stopping``."""
         rest = Trajectory.stopping(self.end, self._final, velocity, deceleration, limits)
         coefficients = np.concatenate((self._coefficients, rest._coefficients))
         return Trajectory([*self._knots, *rest._knots[1:]], coefficients, rest._final)
 
     def sample(self, now: int, state: FloatArray) -> None:
-        """Write position, velocity and acceleration (3, n) at a robot time [ns], which does not run backwards."""
+        """Write position, velocity and acceleration (3, n) at a robot time [ns], which must not decrease."""
         knots = self._knots
         if now >= self.end:
             state[0], state[1:] = self._final, 0.0
@@ -90,7 +76,7 @@ class Trajectory:
         self._evaluate(segment, now, state)
 
     def at(self, time: int) -> FloatArray:
-        """The state (3, n) at any robot time [ns]; before its start as at its start."""
+        """State (3, n) at any robot time [ns]; before the start that at the start."""
         state = np.zeros((3, len(self._final)))
         if time >= self.end:
             state[0] = self._final
@@ -109,6 +95,5 @@ class Trajectory:
         np.matmul(m, self._coefficients[segment], out=state)
 
     def delay(self, by: int) -> None:
-        """Put off what is still to come by a time [ns]."""
         self._knots = [knot + by for knot in self._knots]
         self.start, self.end = self._knots[0], self._knots[-1]

@@ -9,8 +9,8 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import Indices
 
-_SAMPLES = 33  # places in which a segment is looked at
-_CHUNK = 64  # segments at a time: bounds the memory
+_SAMPLES = 33  # per segment
+_CHUNK = 64  # segments sampled at once: bounds the memory
 
 
 def spline(start: FloatArray, end: FloatArray, duration: FloatArray, order: Indices) -> FloatArray:
@@ -20,15 +20,15 @@ def spline(start: FloatArray, end: FloatArray, duration: FloatArray, order: Indi
         start: (3, k, m) position, velocity and acceleration.
         end: (3, k, m).
         duration: (k,) [s], positive.
-        order: (k,) 1 linear, 3 cubic, 5 quintic; what is not met by the order is ignored.
+        order: (k,) 1 linear, 3 cubic, 5 quintic; higher derivatives are ignored.
 
     Returns:
-        (k, 6, m) lowest power first, in time since the segment began [s].
+        (k, 6, m) lowest power first, in time since the start of the segment [s].
     """
     (p0, v0, a0), (p1, v1, a1) = start, end
     T = duration[:, None]
     c = np.zeros((len(duration), 6, p0.shape[1]))
-    with np.errstate(all="ignore"):  # what overflows is found by the limits
+    with np.errstate(all="ignore"):  # overflow is detected by the limits
         distance = p1 - p0
         c[:, 0] = p0
         linear, cubic, quintic = order == 1, order == 3, order == 5
@@ -47,22 +47,17 @@ def spline(start: FloatArray, end: FloatArray, duration: FloatArray, order: Indi
 def _powers(time: FloatArray) -> FloatArray:
     """(3, …, 6) powers of time for position, and their derivatives for velocity and acceleration."""
     ones = np.ones_like(time)
-    none = 0.0 * time
+    zeros = 0.0 * time
     position = np.stack([ones, time, time**2, time**3, time**4, time**5], axis=-1)
-    velocity = np.stack([none, ones, 2 * time, 3 * time**2, 4 * time**3, 5 * time**4], axis=-1)
-    acceleration = np.stack([none, none, 2 * ones, 6 * time, 12 * time**2, 20 * time**3], axis=-1)
+    velocity = np.stack([zeros, ones, 2 * time, 3 * time**2, 4 * time**3, 5 * time**4], axis=-1)
+    acceleration = np.stack([zeros, zeros, 2 * ones, 6 * time, 12 * time**2, 20 * time**3], axis=-1)
     return np.stack([position, velocity, acceleration])
 
 
 def sampled(coefficients: FloatArray, duration: FloatArray) -> Iterator[tuple[int, FloatArray, FloatArray, FloatArray]]:
-    """Where splines lead, some segments at a time.
+    """Samples of splines (k, 6, m) of durations (k,) [s], some segments at a time.
 
-    Args:
-        coefficients: (k, 6, m).
-        duration: (k,) [s].
-
-    Yields:
-        The first segment's number, (c, s, m) positions, (c, m) greatest speeds and accelerations.
+    Yields number of the first segment, (c, s, m) positions, (c, m) maximum speeds and accelerations.
     """
     fractions = np.linspace(0.0, 1.0, _SAMPLES)
     for first in range(0, len(duration), _CHUNK):

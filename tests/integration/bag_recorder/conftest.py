@@ -1,7 +1,5 @@
 """A ROS node beside the recorder."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """A recorder under test: started, spoken to, and its bags read, finished or not."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 from collections import Counter
@@ -80,15 +78,15 @@ def recorder(instance: RunningInstance) -> Path:
 
 
 def connect(path: Path, publisher: bifrost.Publisher[Any], message: bifrost.Message) -> int:
-    """Publish until the recorder hears: what comes before is lost, and rightly so. Returns how many it heard."""
+    """Publish until the recorder receives: what comes before is lost, and rightly so. Returns how many it received."""
     topic = "/bifrost/" + publisher.topic
     sent = []
 
-    def heard() -> bool:
+    def received() -> bool:
         sent.append(publisher.publish(message))
         return len(sent) % 10 == 0 and has(path, topic, 1)
 
-    wait_until(heard, 20.0, f"the recorder hears {publisher.topic}", 0.05)
+    wait_until(received, 20.0, f"the recorder hears {publisher.topic}", 0.05)
     wait_until(lambda: newest(path, topic) == sent[-1], 20.0, "and all that was said so far", 0.2)
     return counts(path)[topic]
 
@@ -99,7 +97,7 @@ def metadata(path: Path, name: str) -> list[dict[str, str]]:
 
 
 class Stream(threading.Thread):
-    """Publishes Motor at a steady rate until told to stop."""
+    """Publishes Motor at a steady rate until stopped."""
 
     def __init__(self, publisher: bifrost.Publisher[Motor], rate: float) -> None:
         super().__init__(daemon=True)

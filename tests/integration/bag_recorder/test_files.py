@@ -1,7 +1,5 @@
 """The files of recordings: their names, their pieces, and which of them are kept."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -32,29 +30,28 @@ from tests.integration.bag_recorder.recorder import (
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bags import recordings
 from valor.bags.recovery import recover
-from valor.common.bounds import Bounds
-from valor.common.instance import Recording
+from valor.common.instance import Bounds, Recording
 from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.topics import MOTOR
 from valor.ros.definitions import definition
-from valor.valorctl import recording_report
+from valor.valorctl.recordings import recording_report
 
 OLD = "2026-01-02_10-00-00"
 
 
 @pytest.mark.parametrize(
-    ("bag", "told"),
+    ("bag", "reported"),
     [
         ("/dev/null/a.mcap", "/dev/null"),
         ("/tmp/a.bag", "bag: /tmp/a.bag: expected a folder or a name that ends in .mcap"),
     ],
 )
-def test_a_bag_that_cannot_be_written_is_one_clear_line(instance: RunningInstance, bag: str, told: str) -> None:
+def test_a_bag_that_cannot_be_written_is_one_clear_line(instance: RunningInstance, bag: str, reported: str) -> None:
     instance.configure(bag=Path(bag))
     process = instance.start("bag_recorder")
     assert process.wait(30) == EXIT_CONFIGURATION
     (line,) = instance.log("bag_recorder").splitlines()
-    assert "ERROR bag_recorder" in line and told in line
+    assert "ERROR bag_recorder" in line and reported in line
 
 
 def test_a_bag_that_exists_is_kept(instance: RunningInstance) -> None:
@@ -103,8 +100,8 @@ def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
     assert [counts(each)["/robot_description"] for each in made] == [1] * len(made)
     kept = [sequence for each in made for sequence in sequences(each, MOTORS)]
     assert kept == list(range(kept[0], stream.sent[-1] + 1))
-    told = [json.loads(metadata(each, "topics")[0][MOTORS]) for each in made]
-    assert [each["received"] for each in told] == [each["written"] for each in told]
+    reported = [json.loads(metadata(each, "topics")[0][MOTORS]) for each in made]
+    assert [each["received"] for each in reported] == [each["written"] for each in reported]
     with AnyReader(made) as reader:  # the row reads as one bag
         assert reader.message_count == sum(sum(counts(each).values()) for each in made)
 

@@ -1,7 +1,5 @@
 """The last seconds, saved when asked and on a fall."""
 
-from __future__ import annotations
-
 import time
 from datetime import datetime
 from pathlib import Path
@@ -14,23 +12,14 @@ from std_msgs.msg import String
 from harness.instance import RunningInstance
 from harness.motion_states import motion_state
 from harness.waiting import wait_until
-from tests.integration.bag_recorder.recorder import (
-    KEPT,
-    MOTORS,
-    Stream,
-    bags,
-    counts,
-    metadata,
-    newest,
-    recorder,
-)
-from valor.bag_recorder.last_seconds import AFTER_FALL
+from tests.integration.bag_recorder.recorder import KEPT, MOTORS, Stream, bags, counts, metadata, newest, recorder
+from valor.bag_recorder.recording import AFTER_FALL
 from valor.bags import recordings, rosbag2_metadata
 from valor.bags.recovery import recover
 from valor.common.instance import Recording
 from valor.common.messages import MarkRequest, SnapRequest
 from valor.common.topics import MARK, MOTION_STATE, MOTOR, SNAP
-from valor.valorctl import recording_list
+from valor.valorctl.recordings import bag_summary
 
 
 def metadata_of_finished(path: Path) -> bool:
@@ -78,7 +67,7 @@ def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningIn
     assert what.startswith("fall: ")
     fell = datetime.fromisoformat(when).timestamp()
     assert recordings.holding(instance.instance.folder, fell + 0.5) == fall  # two seconds are held, two follow a fall
-    (row,) = (row for row in recording_list.rows(instance.instance) if row.name == fall.parent.name)
+    (row,) = (row for row in bag_summary.rows(instance.instance) if row.name == fall.parent.name)
     assert (row.size, row.written, row.instance) == (fall.stat().st_size, False, "test")
     assert len(row.events) == 1 and row.events[0].endswith(what)
     for _ in range(20):
@@ -96,15 +85,10 @@ def events(bag: Path) -> list[tuple[str, str]]:
     return [(each["what"], each["reason"]) for each in metadata(bag, "event")]
 
 
-def test_a_recorder_of_everything_has_nothing_to_snap(instance: RunningInstance) -> None:
+def test_a_recorder_of_everything_marks_moments_and_has_nothing_to_snap(instance: RunningInstance) -> None:
     recorder(instance)
-    client = SNAP.client(instance.node())
-    reply = client.call(SnapRequest(), timeout=20.0)
-    assert not reply.accepted and "everything is being recorded" in reply.reason
-
-
-def test_a_moment_is_marked_where_everything_is_recorded(instance: RunningInstance) -> None:
-    recorder(instance)
+    snapped = SNAP.client(instance.node()).call(SnapRequest(), timeout=20.0)
+    assert not snapped.accepted and "everything is being recorded" in snapped.reason
     client = MARK.client(instance.node())
     before = time.time_ns()
     marked = client.call(MarkRequest("here it slips"), timeout=20.0)

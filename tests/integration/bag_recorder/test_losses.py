@@ -1,7 +1,5 @@
 """A recorder that is killed, or stands, or has no room on its disk."""
 
-from __future__ import annotations
-
 import json
 import resource
 import time
@@ -64,32 +62,32 @@ def test_a_full_disk_costs_no_more_than_what_does_not_fit(instance: RunningInsta
     node = instance.node()
     statistics = STATISTICS["bag_recorder"].subscriber(node, queue=100)
 
-    def heard(state: str) -> Statistics | None:
+    def received(state: str) -> Statistics | None:
         said = [each.message for each in statistics.drain() if each.message.state == state]
         return said[-1] if said else None
 
     process = psutil.Process(instance.start("bag_recorder").pid)
     _, hard = process.rlimit(psutil.RLIMIT_FSIZE)
-    process.rlimit(psutil.RLIMIT_FSIZE, (700, hard))  # less than a bag says of itself first
-    told = wait_until(lambda: heard("degraded"), 40.0, "the recorder runs, and says that it does not record")
-    assert "not recording: " in told.detail and "File too large" in told.detail
+    process.rlimit(psutil.RLIMIT_FSIZE, (700, hard))  # less than a bag reports of itself first
+    reported = wait_until(lambda: received("degraded"), 40.0, "the recorder runs, and says that it does not record")
+    assert "not recording: " in reported.detail and "File too large" in reported.detail
     assert process.is_running() and bags(instance) == []
     process.rlimit(psutil.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
-    wait_until(lambda: heard("ready"), 30.0, "the recorder records")
+    wait_until(lambda: received("ready"), 30.0, "the recorder records")
     (path,) = bags(instance)
     stream = Stream(MOTOR.publisher(node), 200.0)
     stream.start()
     wait_until(lambda: has(path, MOTORS, 100), 30.0, "the bag has begun", 0.3)
 
     process.rlimit(psutil.RLIMIT_FSIZE, (path.stat().st_size + (64 << 10), hard))
-    told = wait_until(lambda: heard("degraded"), 20.0, "the recorder says that it does not record")
-    assert "not recording: " in told.detail and path.name in told.detail and "File too large" in told.detail
+    reported = wait_until(lambda: received("degraded"), 20.0, "the recorder says that it does not record")
+    assert "not recording: " in reported.detail and path.name in reported.detail and "File too large" in reported.detail
     assert recover(path).finished
     kept = counts(path)[MOTORS]
     assert kept >= 100
 
     process.rlimit(psutil.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
-    wait_until(lambda: heard("ready"), 30.0, "the recorder records again")
+    wait_until(lambda: received("ready"), 30.0, "the recorder records again")
     stream.stop()
     assert instance.process("bag_recorder").poll() is None
     assert instance.log("bag_recorder").count("not recording") == 1
@@ -111,16 +109,16 @@ def test_what_was_lost_while_the_recorder_stood_is_counted(instance: RunningInst
     process.resume()
     last = 0
 
-    def heard() -> bool:
+    def received() -> bool:
         nonlocal last
         last = publisher.publish(message)
         time.sleep(0.1)
         return newest(path, MOTORS) > 4 * QUEUE
 
-    wait_until(heard, 60.0, "the recorder goes on")
+    wait_until(received, 60.0, "the recorder goes on")
     wait_until(lambda: newest(path, MOTORS) == last, 20.0, "to the last message", 0.3)
     assert instance.stop("bag_recorder") == 0
     first = sequences(path, MOTORS)[0]
-    told = json.loads(metadata(path, "topics")[0][MOTORS])
-    assert told["dropped"] > 0 and told["received"] == told["written"]
-    assert told["received"] + told["dropped"] == last - first + 1
+    reported = json.loads(metadata(path, "topics")[0][MOTORS])
+    assert reported["dropped"] > 0 and reported["received"] == reported["written"]
+    assert reported["received"] + reported["dropped"] == last - first + 1

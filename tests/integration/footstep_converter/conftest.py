@@ -1,7 +1,5 @@
 """One converter, and one client of it, for all files of this folder."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -11,9 +9,10 @@ import pytest
 
 import bifrost
 from harness.instance import RunningInstance, fresh_instance
+from harness.system import RosClient
 from harness.waiting import wait_until
-from tests.integration.footstep_converter.planner import LIMIT, Client
 from tests.integration.footstep_converter.scripted_motion_manager import ScriptedMotionManager
+from tests.integration.plan_client import LIMIT, PlanClient
 
 
 @pytest.fixture(scope="package")
@@ -29,18 +28,18 @@ def instance() -> Iterator[RunningInstance]:
 
 
 @pytest.fixture(scope="package")
-def ros_client(instance: RunningInstance) -> Iterator[Client]:
+def ros_client(instance: RunningInstance) -> Iterator[PlanClient]:
     """A client of its action."""
-    client = Client(instance.settings.ros_domain_id)
-    yield client
-    client.close()
+    ros = RosClient(instance.environment, joint_states=False)
+    yield PlanClient(ros)
+    ros.close()
 
 
 @pytest.fixture
-def motion(instance: RunningInstance, ros_client: Client) -> Iterator[ScriptedMotionManager]:
+def motion(instance: RunningInstance, ros_client: PlanClient) -> Iterator[ScriptedMotionManager]:
     """One for each test; a fall ends whatever plan a test leaves behind."""
     scripted = ScriptedMotionManager(bifrost.Node("motion_manager", network=instance.network))
-    scripted.wait_until_heard()
+    scripted.wait_until_received()
     yield scripted
     scripted.silent, scripted.behavior = False, "fall"
     try:

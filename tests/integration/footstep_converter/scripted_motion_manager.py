@@ -1,6 +1,4 @@
-"""A Motion Manager that does as it is told, in the real one's place on Bifrost."""
-
-from __future__ import annotations
+"""A Motion Manager that does as it is commanded, in the real one's place on Bifrost."""
 
 import threading
 from collections.abc import Callable
@@ -9,13 +7,13 @@ from typing import Any
 import bifrost
 from harness.motion_states import motion_state
 from harness.waiting import wait_until
-from tests.integration.footstep_converter.planner import LIMIT, Client, Goal, plan
+from tests.integration.plan_client import LIMIT, Goal, PlanClient, plan
 from valor.common.messages import FootstepPlanReply, FootstepPlanRequest, MotionState, StepStatus
 from valor.common.topics import FOOTSTEP_PLAN, MOTION_STATE, STEP_STATUS
 
 
 class ScriptedMotionManager:
-    """Answers plans as it is told and says of itself what it is told, 50 times a second."""
+    """Answers plans as it is commanded and reports what it is commanded, 50 times a second."""
 
     def __init__(self, node: bifrost.Node) -> None:
         self._node = node
@@ -25,7 +23,7 @@ class ScriptedMotionManager:
         self.step_status: StepStatus | None = None
         self.silent = False
         self._server = FOOTSTEP_PLAN.server(node, self._answer)
-        # Latched, for such a publisher alone knows who hears it.
+        # Latched, for such a publisher alone knows who receives it.
         self._state = node.publisher(MOTION_STATE.name, MotionState, latched=True)
         self._status = node.publisher(STEP_STATUS.name, StepStatus, latched=True)
         self._stop = threading.Event()
@@ -38,8 +36,8 @@ class ScriptedMotionManager:
         accepted, reason = self.accepts(request)
         return FootstepPlanReply(accepted=accepted, behavior=self.behavior, reason=reason)
 
-    def says(self, state: str, performed: int = -1, executing: int = -1, **more: Any) -> None:
-        """What it says of the plan from now on."""
+    def report(self, state: str, performed: int = -1, executing: int = -1, **more: Any) -> None:
+        """What it reports of the plan from now on."""
         self.step_status = StepStatus(
             time=more.get("time", 5_000_000_000),
             state=state,
@@ -55,12 +53,12 @@ class ScriptedMotionManager:
         assert self.step_status is not None
         self._status.publish(self.step_status)
 
-    def wait_until_heard(self) -> None:
-        """Until the converter hears what is said of the plan."""
+    def wait_until_received(self) -> None:
+        """Until the converter receives what is said of the plan."""
         wait_until(lambda: self._status.subscribers, LIMIT, "a subscriber to the step status")
 
     def wait_until_seen(self) -> None:
-        """Until the converter hears what is said of the robot, which it does while a plan runs."""
+        """Until the converter receives what is said of the robot, which it does while a plan runs."""
         wait_until(lambda: self._state.subscribers, LIMIT, "a subscriber to the motion state")
 
     def _run(self) -> None:
@@ -81,13 +79,13 @@ class ScriptedMotionManager:
         self._node.close()
 
 
-def begin(motion: ScriptedMotionManager, client: Client) -> Goal:
+def begin(motion: ScriptedMotionManager, client: PlanClient) -> Goal:
     """A plan under way."""
     motion.requests.clear()
     goal = client.send(plan())
     wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")
     motion.behavior = "step"
-    motion.says("executing", performed=0, executing=1, queue=3, changeable=2)
+    motion.report("executing", performed=0, executing=1, queue=3, changeable=2)
     wait_until(lambda: any(f.currently_executing_step_index == 1 for f in goal.feedback), LIMIT, "the plan under way")
     motion.wait_until_seen()
     return goal

@@ -1,7 +1,5 @@
 """valorctl called as a user would, and what it must have left behind."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -12,7 +10,7 @@ from typing import Any
 import psutil
 
 from valor.common.instance import Instance
-from valor.valorctl.watch import look
+from valor.valorctl.status.status import Watch
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
 TIMEOUT = 120.0  # of one call [s]
@@ -56,7 +54,8 @@ class Cli:
 
     def status(self, instance: str = "default") -> dict[str, Any]:
         """What ``status --json`` prints, with the services by name."""
-        content = look(Instance(instance, self.home)).as_json()
+        with Watch(Instance(instance, self.home)) as watch:
+            content = watch.look().as_json()
         return content | {"services": {service["name"]: service for service in content["services"]}}
 
     def pid(self, service: str, instance: str = "default") -> int:

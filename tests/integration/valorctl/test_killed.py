@@ -1,7 +1,5 @@
 """What is killed comes back, or is cleared up; what is silent is seen as such."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -28,9 +26,9 @@ def test_killed_restarted_and_silent_processes_are_seen_as_such(ctl: Cli) -> Non
         "motion_manager": 1,
     }
     after = services["motion_manager"]["pid"]
-    told = ctl("restart", "motion_manager")
+    output = ctl("restart", "motion_manager")
     assert ctl.pid("motion_manager") != after
-    assert str(ctl.pid("motion_manager")) in told
+    assert str(ctl.pid("motion_manager")) in output
     assert ctl.status()["services"]["motion_manager"]["restarts"] == 1
     assert "comms_manager" in ctl("restart", "commz", status=1)
 
@@ -54,7 +52,7 @@ def a_name_service_whose_port_is_taken_meanwhile_comes_back(ctl: Cli) -> None:
 
 
 def takes(thief: socket.socket, address: tuple[str, int]) -> bool:
-    """Whether a socket now listens where another one did."""
+    """Return whether a socket now listens where another one did."""
     try:
         thief.bind(address)
     except OSError:
@@ -63,23 +61,16 @@ def takes(thief: socket.socket, address: tuple[str, int]) -> bool:
     return True
 
 
-def test_what_is_killed_comes_back_and_down_clears_up_behind_a_killed_supervisor(ctl: Cli) -> None:
+def test_what_is_killed_comes_back_and_up_and_down_clear_up_behind_a_killed_supervisor(ctl: Cli) -> None:
     profile = ctl.profile(BIFROST_ALONE)
     ctl("up", "--profile", profile)
     a_name_service_whose_port_is_taken_meanwhile_comes_back(ctl)
+    before = ctl.pid("bifrostd")
     os.kill(ctl.supervisord(), signal.SIGKILL)
     assert "valorctl down" in ctl("status", status=1)
     assert ctl.processes()
-    ctl("down")
-    ctl.assert_nothing_left()
-
-
-def test_up_clears_up_behind_a_killed_supervisor(ctl: Cli) -> None:
-    profile = ctl.profile(BIFROST_ALONE)
-    ctl("up", "--profile", profile)
-    before = ctl.pid("bifrostd")
-    os.kill(ctl.supervisord(), signal.SIGKILL)
     assert "crashed" in ctl("up", "--profile", profile)
     assert ctl.pid("bifrostd") != before
+    os.kill(ctl.supervisord(), signal.SIGKILL)
     ctl("down")
     ctl.assert_nothing_left()

@@ -1,14 +1,10 @@
 """The whole system, from up to down: it stands, reaches, walks and steps, is led by one alone, falls and is stopped."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,11 +19,12 @@ from harness.bifrost_network import mechanism, ports
 from harness.places import REPOSITORY
 from harness.waiting import wait_until
 from tests.integration.valorctl.command_line import PATIENCE, TIMEOUT, Cli, shared_memory
-from valor.common import membership
+from valor.common import topics
 from valor.common.instance import Instance
 from valor.common.processes import BY_NAME
 from valor.common.topics import BEHAVIOR, MOTION_STATE, MOTOR, PROPRIOCEPTOR, STATISTICS
-from valor.valorctl.profile import Profile
+from valor.valorctl.instance.profile import Profile
+from valor.valorctl.status.health import REPORT_TIMEOUT
 
 
 def one_walks_at_a_time(ctl: Cli) -> None:
@@ -43,7 +40,7 @@ def one_walks_at_a_time(ctl: Cli) -> None:
             return None if state is None else float(np.linalg.norm(state.message.pelvis_linear_velocity_in_odom))
 
         wait_until(lambda: (speed() or 0.0) > 0.15, TIMEOUT, "walking")
-        assert "walked already: velocities come from valorctl" in ctl("walk", "--vx", "-0.2", status=1)
+        assert "another client already publishes /cmd_vel" in ctl("walk", "--vx", "-0.2", status=1)
         assert first.poll() is None
         first.send_signal(signal.SIGINT)
         assert "interrupted by SIGINT" in first.communicate(timeout=TIMEOUT)[1]
@@ -57,10 +54,10 @@ def one_writer(ctl: Cli) -> None:
     instance = Instance("default", ctl.home)
     refused_before = refusals(instance)
     for owner in ("", "bag_recorder"):
-        network = membership.network(instance, owner)
+        network = topics.network(instance, owner)
         with (
             bifrost.Node("evil", network=network) as honest,
-            pytest.raises(bifrost.Error, match=r"^evil wants to publish motion_manager/motor, which is motion_manag"),
+            pytest.raises(bifrost.Error, match=r"^evil may not publish motion_manager/motor, which belongs"),
         ):
             MOTOR.publisher(honest)
         blind = replace(network, grants=bifrost.Grants({"bifrostd": network.grants.owners["bifrostd"]}))
@@ -88,18 +85,18 @@ def one_writer(ctl: Cli) -> None:
             ]
         said = (instance.logs / "bifrostd.log").read_text()
         for refused in (
-            "motion_manager/motor, which is motion_manager",
-            "comms_manager/proprioceptor, which is comms_manager",
+            "motion_manager/motor, which belongs to motion_manager",
+            "comms_manager/proprioceptor, which belongs to comms_manager",
         ):
-            assert re.search(rf"evil wants to publish {refused}'s: refused .*key of {owner or 'member'}", said)
-    assert "evil wants to publish" in ctl("status")
+            assert re.search(rf"evil may not publish {refused}: rejected .*key of {owner or 'member'}", said)
+    assert "evil may not publish" in ctl("status")
     assert refusals(instance) == refused_before  # none of theirs came that far
     assert ctl.status()["behavior"] == "stand_manipulate"
 
 
 def refusals(instance: Instance) -> int:
     """How many Motors and Proprioceptors their readers have refused."""
-    with bifrost.Node("test", network=membership.network(instance)) as node:
+    with bifrost.Node("test", network=topics.network(instance)) as node:
         words = [STATISTICS[name].subscriber(node) for name in ("comms_manager", "motion_manager")]
         received = [word.receive(5.0) for word in words]
         assert all(received)
@@ -112,14 +109,14 @@ def without_supervisor(ctl: Cli) -> None:
     assert "accepted" in ctl("mode", "soft_stop")
     assert "accepted" in ctl("mode", "stand")
     assert json.loads(ctl("stop", "--json"))["state"] == "soft_stop"
-    assert "nothing restarts" in ctl("status", status=1)
+    assert "supervisor does not respond" in ctl("status", status=1)
     seen = ctl.status()
     assert not seen["supervised"]
     assert {service["state"] for service in seen["services"].values()} == {"ready"}
     assert seen["way_out"] == "valorctl mode stand"
 
 
-def whoever_dies_a_stop_tells_the_truth(ctl: Cli) -> None:
+def whoever_dies_a_stop_reports_the_truth(ctl: Cli) -> None:
     """Nobody restarts anything; the robot lies on the floor."""
 
     def stopped(*options: str, status: int = 0) -> str:
@@ -145,7 +142,33 @@ def whoever_dies_a_stop_tells_the_truth(ctl: Cli) -> None:
     os.kill(motion_manager, signal.SIGKILL)
     assert stopped("--freeze").endswith(": freeze")
     os.kill(comms_manager, signal.SIGKILL)
-    assert "comms_manager is silent" in stopped(status=1)
+    assert "comms_manager does not publish" in stopped(status=1)
+
+
+def time_is_paused(ctl: Cli) -> None:
+    """Nothing has failed, and the command that resumes time is named."""
+    ctl("time", "pause")
+    began = time.monotonic()
+
+    def late() -> dict[str, Any] | None:
+        seen = ctl.status()
+        assert {service["state"] for service in seen["services"].values()} == {"ready"}
+        return seen if time.monotonic() - began > 2.0 * REPORT_TIMEOUT else None
+
+    seen = wait_until(late, PATIENCE, "reports are late", 1.0)
+    assert (seen["clock"]["mode"], seen["way_out"]) == ("paused", "valorctl time resume")
+    ctl(*seen["way_out"].split()[1:])
+    wait_until(lambda: ctl.status()["way_out"] is None, PATIENCE, "time passes")
+
+
+def lies_on_its_side_and_is_reset(ctl: Cli) -> None:
+    """It cannot get up, which is said with the way that works."""
+    ctl("push", "0", "300", "0")
+    wait_until(lambda: ctl.status()["fallen"], PATIENCE, "the fall is seen", 0.5)
+    assert "`valorctl reset`" in ctl("get-up", status=1)
+    ctl(*ctl.status()["way_out"].split()[1:])
+    seen = ctl.status()
+    assert (seen["control_mode"], seen["behavior"], seen["way_out"]) == ("stand", "stand", None)
 
 
 def fallen(ctl: Cli) -> None:
@@ -159,14 +182,14 @@ def fallen(ctl: Cli) -> None:
     seen = wait_until(recorded, PATIENCE, "the fall is seen and recorded", 0.5)
     assert seen["reason"]
     assert seen["since_s"] > 0
-    assert seen["way_out"] == "valorctl get-up"
+    assert seen["way_out"] == "valorctl reset"
     assert seen["bag"] == str(ctl.home / "whole.mcap")
 
 
-def stands(ctl: Cli, bag: Path, told: str) -> None:
+def stands(ctl: Cli, bag: Path, reported: str) -> None:
     """All is up as the profile has it, recorded, and for nobody else to read or to join."""
-    assert "control mode stand" in told
-    assert re.search(rf"recording to {bag}: \d+\.\d MB/s, in .* the disk is full", told)
+    assert "control mode stand" in reported
+    assert re.search(rf"recording to {bag}: \d+\.\d MB/s, in .* the disk is full", reported)
     seen = ctl.status()
     assert seen["recording"]["bag"] == str(bag) and seen["recording"]["bytes"] > 0
     assert {service["state"] for service in seen["services"].values()} == {"ready"}
@@ -194,7 +217,7 @@ def tables_are_shown(ctl: Cli) -> None:
 
 
 def arms_obey(ctl: Cli) -> None:
-    """In the mode that lets them, and then go where they are told."""
+    """In the mode that lets them, and then go where they are commanded."""
     refused = ctl("arm", "left", "forward", status=1)
     assert "left_arm_traj_controller" in refused
     assert "stand_manipulate" in refused
@@ -215,34 +238,17 @@ def walks(ctl: Cli) -> None:
     assert not walked["fell"]
     assert 0.5 < walked["distance_m"] < 2.0
     assert walked["mean_dcm_error_m"] < 0.03
-    assert 0.0 < max(walked["dcm_error_rms_m"].values()) < 0.05
-    assert 0.3 < walked["smallest_knee_angle_rad"] < 1.2
-    assert 0.0 < walked["foot_force_error_rms_n"] < 150.0
-    assert walked["solver_failures"] == 0
-    assert 1500 < walked["ticks"] == pytest.approx(walked["duration_s"] * 500.0, rel=0.2)
     assert "finite" in ctl("walk", "--vx", "nan", status=2)
 
 
 def steps(ctl: Cli) -> None:
-    """To a place, and draws it."""
-    picture = ctl.home / "steps.png"
-    stepped = json.loads(ctl("step", "--to", "0.25", "0.05", "0.2", "--relative", "--plot", str(picture), "--json"))
+    """Steps to a goal."""
+    stepped = json.loads(ctl("step", "--to", "0.25", "0.05", "0.2", "--relative", "--json"))
     assert stepped["reached"]
     assert stepped["largest_error_m"] < 0.03
     assert stepped["largest_error_rad"] < math.radians(3.0)
-    assert picture.read_bytes().startswith(b"\x89PNG")
     assert "finite" in ctl("step", "--to", "nan", "0", "0", status=2)
     assert json.loads(ctl("mode", "--json"))["control_mode"] == "stand_manipulate"
-
-
-def a_ros_program_joins(ctl: Cli) -> None:
-    """A shell that has read `valorctl env` hears the robot."""
-    program = "import os, rclpy; rclpy.init(); node = rclpy.create_node('peer'); print(os.environ['ROS_DOMAIN_ID'])\n"
-    program += "from sensor_msgs.msg import JointState; heard = []\n"
-    program += "node.create_subscription(JointState, '/joint_states', heard.append, 1)\n"
-    program += "while not heard: rclpy.spin_once(node)\n"
-    joined = f'{ctl("env")}\nexec "{sys.executable}" -c "{program}"'
-    subprocess.run(["/bin/sh", "-c", joined], check=True, timeout=TIMEOUT)
 
 
 @pytest.mark.timeout(600)
@@ -254,12 +260,13 @@ def test_the_whole_system_stands_moves_and_goes(ctl: Cli) -> None:
     walks(ctl)
     one_walks_at_a_time(ctl)
     steps(ctl)
-    a_ros_program_joins(ctl)
     one_writer(ctl)
+    time_is_paused(ctl)
+    lies_on_its_side_and_is_reset(ctl)
     without_supervisor(ctl)
     fallen(ctl)
     held = shared_memory(ctl.processes())
-    whoever_dies_a_stop_tells_the_truth(ctl)
+    whoever_dies_a_stop_reports_the_truth(ctl)
     assert re.search(rf"recorded {bag}: \d+\.\d MB, \d+", ctl("down"))
     ctl.assert_nothing_left()
     assert [file for file in held if os.path.exists(file)] == []

@@ -9,7 +9,18 @@ import pytest
 import bifrost
 from harness.instance import RunningInstance
 from harness.system import RosClient
+from tests.integration.shared import left_standing
 from tests.integration.vrc.vrc_system import go, standing_robot
+
+BALANCING = (
+    "stand",
+    "stand_manipulate",
+    "manipulate",
+    "step",
+    "step_manipulate",
+    "walk",
+    "walk_manipulate",
+)  # control modes
 
 
 @pytest.fixture(scope="package")
@@ -26,6 +37,17 @@ def ros(system: RunningInstance) -> Iterator[RosClient]:
     go(client, "stand")
     yield client
     client.close()
+
+
+@pytest.fixture(autouse=True)
+def leaves_it_balancing(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Each test leaves the robot on its feet, except those that kill processes, which come last."""
+    if "ros" not in request.fixturenames or request.path.stem == "test_when_processes_die":
+        yield
+        return
+    client: RosClient = request.getfixturevalue("ros")
+    with left_standing(lambda: go(client, "stand"), lambda: client.reports[-1].current_control_mode, BALANCING):
+        yield
 
 
 @pytest.fixture

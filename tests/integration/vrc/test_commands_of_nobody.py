@@ -21,9 +21,9 @@ from tests.integration.vrc.vrc_system import HOME, PATIENCE, VRC, Topic, ask, go
 from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
 from valor.common.topics import MOTION_STATE
-from valor.valorctl import control_mode
+from valor.valorctl.drive import control_mode
 
-WHY = "commands on ROS 2 are not obeyed: up with --ros-commands none"
+WHY = "commands on ROS 2 are rejected: up with --ros-commands none"
 CONVERTER = "footstep_converter"
 
 
@@ -54,7 +54,7 @@ def test_whoever_commands_on_ros_is_refused_and_told_why(
 
     result = unobeyed.change_mode("freeze")
     assert result.status & ModeStatus.MODE_REJECTED and result.current_control_mode == "stand"
-    assert f"control mode freeze refused: {WHY}" in system.log(VRC)
+    assert f"control mode freeze rejected: {WHY}" in system.log(VRC)
     assert unobeyed.follow("right_arm", [(2.0, HOME)]).result.error_string == WHY
     switch = {"deactivate_controllers": ["neck_traj_controller"], "strictness": SwitchController.Request.STRICT}
     answer = ask(unobeyed, SwitchController, "/controller_manager/switch_controller", **switch)
@@ -69,7 +69,7 @@ def test_whoever_commands_on_ros_is_refused_and_told_why(
         publish(unobeyed, topic, message)
         wait_until(lambda t=topic: (t, WHY) in {(m.topic, m.reason) for m in rejections.messages}, PATIENCE, topic)  # type: ignore[misc]
     publish(unobeyed, "/robot_controllers/footstep_controller/execute_step_plan", StepPlan())
-    wait_until(lambda: f"plan refused: {WHY}" in system.log(CONVERTER), PATIENCE, "the plan's refusal")
+    wait_until(lambda: f"plan rejected: {WHY}" in system.log(CONVERTER), PATIENCE, "the plan's refusal")
 
     after = states.receive(PATIENCE)
     assert before and after and (before.message.behavior, after.message.behavior) == ("stand", "stand")

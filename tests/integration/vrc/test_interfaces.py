@@ -7,6 +7,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from harness.system import RosClient
@@ -132,28 +134,7 @@ def test_the_state_comes_at_its_rate_in_robot_time_and_in_order(ros: RosClient, 
     assert steps[len(steps) // 4] * 1e-9 == pytest.approx(1.0 / rate, rel=0.01)
 
 
-def test_the_wrenches_of_the_feet_carry_the_robot(ros: RosClient) -> None:
-    from geometry_msgs.msg import WrenchStamped
-    from std_msgs.msg import String
-
-    feet = {f"{side}_sole": Topic(ros, WrenchStamped, f"/flor/{side}_foot/force_torque_sensor") for side in "lr"}
-    wait_until(lambda: all(len(topic.messages) > 50 for topic in feet.values()), PATIENCE, "wrenches")
-    forces = []
-    for frame, topic in feet.items():
-        topic.close()
-        assert {message.header.frame_id for message in topic.messages} == {frame}
-        forces.append(sum(message.wrench.force.z for message in topic.messages) / len(topic.messages))
-    description = Topic(ros, String, "/robot_description", latched=True)
-    wait_until(lambda: description.messages, PATIENCE, "the description")
-    description.close()
-    urdf = ElementTree.fromstring(description.messages[0].data)
-    mass = sum(float(element.get("value", "nan")) for element in urdf.iter("mass"))
-    assert sum(forces) == pytest.approx(9.81 * mass, rel=0.1), "the soles bear the weight of the description's robot"
-
-
 def test_diagnostics_tell_of_every_process(ros: RosClient) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-
     diagnostics = Topic(ros, DiagnosticArray, "/diagnostics")
 
     def told() -> dict[str, Any]:
@@ -174,7 +155,7 @@ def test_diagnostics_tell_of_every_process(ros: RosClient) -> None:
 
 
 def test_every_interface_of_vigirs_that_was_kept_or_renamed_is_there(ros: RosClient) -> None:
-    (table,) = tables("What became of ViGIR's interfaces")
+    (table,) = tables("ViGIR's interfaces")
     assert {row["1"] for row in table} == {"kept", "renamed", "left out"}
     found = set(topics(ros)) | {name.removesuffix("/_action/send_goal") for name in services(ros)}
     for row in table:
@@ -189,7 +170,5 @@ def test_every_interface_of_vigirs_that_was_kept_or_renamed_is_there(ros: RosCli
 
 
 def test_the_names_of_all_control_modes_are_a_parameter(ros: RosClient) -> None:
-    from rcl_interfaces.srv import GetParameters
-
     answer = ask(ros, GetParameters, f"/{VRC}/get_parameters", names=["allowed_control_modes"])
     assert list(answer.values[0].string_array_value) == list(ControlModeTable.load().modes)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist, TwistStamped
+from vigir_humanoid_control_msgs.msg import VigirControlModeCommand
+
 import bifrost
 from harness.system import RosClient
 from harness.waiting import wait_until
@@ -21,8 +26,6 @@ from valor.common.topics import CONTROL_MODE, MOTION_STATE, REJECTION
 
 
 def test_modes(ros: RosClient, node: bifrost.Node) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
-
     go(ros, "stand")
     reports = CONTROL_MODE.subscriber(node, queue=1000)
     repeat = ros.change_mode("STAND")
@@ -40,7 +43,7 @@ def test_modes(ros: RosClient, node: bifrost.Node) -> None:
             for pair in status.values
         }
 
-    wait_until(lambda: "none: not allowed from stand" in said().get("last control mode refused", ""), PATIENCE, "why")
+    wait_until(lambda: "none: not allowed from stand" in said().get("last control mode rejected", ""), PATIENCE, "why")
     assert said()["behavior"] == "stand"
     diagnostics.close()
     result = ros.change_mode("Stand_Manipulate")
@@ -63,8 +66,6 @@ def test_modes(ros: RosClient, node: bifrost.Node) -> None:
 
 
 def test_the_topic_changes_modes_and_an_emergency_stop_keeps_the_balance(ros: RosClient, node: bifrost.Node) -> None:
-    from vigir_humanoid_control_msgs.msg import VigirControlModeCommand
-
     go(ros, "stand")
     publisher = ros.node.create_publisher(VigirControlModeCommand, "/flor/controller/mode_command", 1)
     wait_until(lambda: publisher.get_subscription_count() > 0, PATIENCE, "the VRC to listen to mode_command")
@@ -82,13 +83,12 @@ def test_the_topic_changes_modes_and_an_emergency_stop_keeps_the_balance(ros: Ro
     ros.destroy(ros.node.destroy_publisher, publisher)
 
 
-def test_cmd_vel_walks_in_mode_walk_and_nowhere_else(ros: RosClient, node: bifrost.Node) -> None:
-    from geometry_msgs.msg import Twist
-
-    publisher = ros.node.create_publisher(Twist, "/cmd_vel", 1)
+@pytest.mark.parametrize("kind", [Twist, TwistStamped])
+def test_cmd_vel_walks_in_mode_walk_and_nowhere_else(ros: RosClient, node: bifrost.Node, kind: type) -> None:
+    publisher = ros.node.create_publisher(kind, "/cmd_vel", 1)
     motion = MOTION_STATE.subscriber(node)
-    twist = Twist()
-    twist.linear.x = 0.3
+    twist = kind()
+    getattr(twist, "twist", twist).linear.x = 0.3
     places: list[float] = []
     times: list[int] = []
 

@@ -14,6 +14,17 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import GetParameters
+from rclpy.action import ActionClient
+from rosbags.highlevel import AnyReader
+from valor_msgs.msg import BalanceWeights
+from vigir_footstep_planning_msgs.action import ExecuteStepPlan
+from vigir_footstep_planning_msgs.msg import Step, StepPlan
 
 import bifrost
 from harness.instance import RunningInstance
@@ -21,7 +32,6 @@ from harness.places import REPOSITORY
 from harness.system import RosClient
 from harness.waiting import wait_until
 from tests.integration.vrc.vrc_system import HOME, PATIENCE, VRC, Topic, ask, go, pass_robot_time
-from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.topics import PROPRIOCEPTOR
 
 CONVERTER, RECORDER = "footstep_converter", "bag_recorder"
@@ -32,8 +42,6 @@ LAUNCH = REPOSITORY / "examples" / "ros_nodes.launch.xml"
 
 @pytest.fixture(scope="module")
 def rosout(ros: RosClient) -> Iterator[Topic]:
-    from rcl_interfaces.msg import Log
-
     made = Topic(ros, Log, "/rosout", latched=True)
     yield made
     made.close()
@@ -49,30 +57,24 @@ def said(rosout: Topic, node: str, *words: str, level: int = WARN) -> list[str]:
 
 
 def state(ros: RosClient, node: str) -> str:
-    from lifecycle_msgs.srv import GetState
-
     return str(ask(ros, GetState, f"/{node}/get_state").current_state.label)
 
 
 def change(ros: RosClient, node: str, transition: str) -> bool:
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
-
     return bool(ask(ros, ChangeState, f"/{node}/change_state", transition=Transition(label=transition)).success)
 
 
 def parameter(ros: RosClient, node: str, name: str) -> Any:
-    from rcl_interfaces.srv import GetParameters
-
     return ask(ros, GetParameters, f"/{node}/get_parameters", names=[name]).values[0]
+
+
+def subscribed(ros: RosClient, node: str) -> list[str]:
+    """Topics to which a node subscribes."""
+    return [name for name, _ in ros.node.get_subscriber_names_and_types_by_node(node, "/")]
 
 
 def plan(ros: RosClient) -> Any:
     """The result of a plan that is wrong in any case."""
-    from rclpy.action import ActionClient
-    from vigir_footstep_planning_msgs.action import ExecuteStepPlan
-    from vigir_footstep_planning_msgs.msg import Step, StepPlan
-
     client = ActionClient(ros.node, ExecuteStepPlan, "/robot_controllers/footstep_controller/execute_step_plan")
     goal = ExecuteStepPlan.Goal(step_plan=StepPlan(steps=[Step()]))
     try:
@@ -97,15 +99,13 @@ def test_a_node_says_that_it_is_active_and_its_life_is_its_own(ros: RosClient, r
 
 
 def test_the_controller_cannot_be_paused_and_the_converter_can(ros: RosClient, rosout: Topic) -> None:
-    from lifecycle_msgs.msg import TransitionEvent
-
     events = Topic(ros, TransitionEvent, f"/{CONVERTER}/transition_event")
     wait_until(lambda: ros.node.count_publishers(f"/{CONVERTER}/transition_event"), PATIENCE, "its events")
     assert not change(ros, VRC, "deactivate") and state(ros, VRC) == "active"
     assert change(ros, CONVERTER, "deactivate") and state(ros, CONVERTER) == "inactive"
     refused = plan(ros)
     assert refused.status.status and wait_until(
-        lambda: said(rosout, CONVERTER, "plan refused", "paused"), PATIENCE, "the refusal on /rosout"
+        lambda: said(rosout, CONVERTER, "plan rejected", "paused"), PATIENCE, "the refusal on /rosout"
     )
     assert not change(ros, CONVERTER, "deactivate"), "it is paused already"
     assert change(ros, CONVERTER, "activate") and state(ros, CONVERTER) == "active"
@@ -117,9 +117,6 @@ def test_the_controller_cannot_be_paused_and_the_converter_can(ros: RosClient, r
 
 
 def test_every_refusal_is_on_rosout_under_its_nodes_name(manipulating: RosClient, rosout: Topic) -> None:
-    from geometry_msgs.msg import PoseStamped
-    from valor_msgs.msg import BalanceWeights
-
     ros = manipulating
     assert ros.follow("right_arm", [(1.0, {"nose": 1.0})]).result.error_code
     assert not ros.change_mode("no_such_mode").status & 1
@@ -135,37 +132,16 @@ def test_every_refusal_is_on_rosout_under_its_nodes_name(manipulating: RosClient
         wait_until(lambda t=topic: said(rosout, VRC, t.rpartition("/")[2]), PATIENCE, topic)  # type: ignore[misc]
         ros.destroy(ros.node.destroy_publisher, publisher)
     for node, words in (
-        (VRC, ("right_arm", "refused", "nose")),
-        (VRC, ("no_such_mode", "refused")),
-        (CONVERTER, ("plan refused",)),
+        (VRC, ("right_arm", "rejected", "nose")),
+        (VRC, ("no_such_mode", "rejected")),
+        (CONVERTER, ("plan rejected",)),
     ):
         wait_until(lambda n=node, w=words: said(rosout, n, *w), PATIENCE, f"{node}: {words}")  # type: ignore[misc]
-
-
-def test_a_flood_of_refusals_is_thinned_out_and_counted(manipulating: RosClient, rosout: Topic) -> None:
-    from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
-
-    ros, count = manipulating, 300
-    topic = "/trajectory_controllers/right_arm_traj_controller/joint_trajectory"
-    publisher = ros.node.create_publisher(JointTrajectory, topic, 100)
-    wait_until(publisher.get_subscription_count, PATIENCE, topic)
-    before = len(rosout.messages)
-    for i in range(count):
-        publisher.publish(
-            JointTrajectory(joint_names=[f"flooding_{i}"], points=[JointTrajectoryPoint(positions=[0.0])])
-        )
-        pass_robot_time(ros, 0.004)
-
-    wait_until(lambda: said(rosout, VRC, "were not told"), PATIENCE, "the count of what was not told")
-    ros.destroy(ros.node.destroy_publisher, publisher)
-    assert len([line for line in rosout.messages[before:] if "flooding" in line.msg]) < count / 2
 
 
 def test_a_controller_that_stalls_holds_time_up_within_the_bound_and_is_named(
     system: RunningInstance, ros: RosClient, node: bifrost.Node
 ) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
-
     assert system.settings.wait_for_vrc and system.settings.clock == "lockstep"
     go(ros, "stand")
     diagnostics = Topic(ros, DiagnosticArray, "/diagnostics")
@@ -237,44 +213,23 @@ def listed(ros: RosClient) -> Callable[[str], bool]:
 def test_the_recorder_by_itself_takes_its_parameters_and_pauses(
     system: RunningInstance, ros: RosClient, rosout: Topic, tmp_path: Path
 ) -> None:
-    from rosbags.highlevel import AnyReader
-
     bag = tmp_path / "alone"
     more = ("-p", "record.topics:=['/rosout', '/odom']", "-p", "storage.max_bagfile_duration:=600.0")
     with alone(system, command(RECORDER, *more, bag=str(bag)), tmp_path / "log") as process:
         wait_until(lambda: state(ros, RECORDER) == "active", PATIENCE, "the recorder to record")
         assert process.poll() is None
+        wait_until(lambda: "/odom" in subscribed(ros, RECORDER), PATIENCE, "its subscription")
         assert not parameter(ros, RECORDER, "use_sim_time").bool_value, "bags are on the wall's clock"
         assert parameter(ros, RECORDER, "storage.max_bagfile_duration").double_value == 600.0
         pass_robot_time(ros, 1.0)
         assert change(ros, RECORDER, "deactivate") and state(ros, RECORDER) == "inactive"
         assert change(ros, RECORDER, "activate")
-        wait_until(lambda: said(rosout, RECORDER, "from outside", level=20), PATIENCE, "its words on /rosout")
+        wait_until(lambda: said(rosout, RECORDER, "by a client", level=20), PATIENCE, "its words on /rosout")
         pass_robot_time(ros, 0.5)
     (file,) = bag.glob("*.mcap")
     with AnyReader([bag] if (bag / "metadata.yaml").exists() else [file]) as reader:
         topics = {connection.topic for connection in reader.connections}
         assert topics == {"/rosout", "/odom"} and reader.message_count > 10
-
-
-def test_the_converter_by_itself_has_its_remapped_name_and_action(
-    system: RunningInstance, ros: RosClient, tmp_path: Path
-) -> None:
-    system.stop(CONVERTER)
-    try:
-        more = (
-            "--ros-args",
-            "-r",
-            "__node:=steps",
-            "-r",
-            "/robot_controllers/footstep_controller/execute_feedback:=/lab/steps",
-        )
-        with alone(system, command(CONVERTER, *more), tmp_path / "log"):
-            wait_until(lambda: listed(ros)("/steps") and state(ros, "steps") == "active", PATIENCE, "the node")
-            wait_until(lambda: ros.node.count_publishers("/lab/steps"), PATIENCE, "the remapped topic")
-    finally:
-        system.start(CONVERTER)
-    system.wait_ready(CONVERTER, PATIENCE)
 
 
 def test_the_controller_by_itself_leads_the_robot(system: RunningInstance, ros: RosClient, tmp_path: Path) -> None:
@@ -289,25 +244,3 @@ def test_the_controller_by_itself_leads_the_robot(system: RunningInstance, ros: 
     finally:
         system.start(VRC)
     system.wait_ready(VRC, PATIENCE)
-
-
-@pytest.mark.parametrize(
-    ("node", "arguments", "words"),
-    [
-        (RECORDER, ["-p", "storage.max_bagfile_size:=5"], ("storage.max_bagfile_size", "expected 1.04858e+06 to")),
-        (RECORDER, ["-p", "ring_seconds:=0.5"], ("ring_seconds", "expected 0, or 1 and more")),
-        (RECORDER, ["-p", "record.topics:=3"], ("record.topics", "expected as")),
-        (CONVERTER, ["-r", "::"], ("ROS arguments", "::")),
-    ],
-)
-def test_what_cannot_be_is_refused_in_one_line(
-    system: RunningInstance, node: str, arguments: list[str], words: tuple[str, ...]
-) -> None:
-    module = [sys.executable, "-m", f"valor.{node}", "--ros-args", *arguments]
-    result = subprocess.run(
-        module, env=system.environment, capture_output=True, text=True, check=False, timeout=2 * PATIENCE
-    )
-    assert result.returncode == EXIT_CONFIGURATION, result.stderr
-    lines = [line for line in result.stderr.splitlines() if f"ERROR {node}" in line]
-    assert "Traceback" not in result.stderr and len(lines) == 1, result.stderr
-    assert all(word in lines[0] for word in words), lines[0]

@@ -1,30 +1,31 @@
-"""Another DDS implementation reads the robot and drives it, over the domain and profile that ``up`` gives."""
+"""Another DDS implementation reads the robot and changes its mode, in the domain and with the profile of ``up``."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from harness.instance import RunningInstance
 from harness.system import RosClient
-from tests.integration.vrc.vrc_system import FORWARD, HOME, STATUS_SUCCEEDED, SUCCESSFUL, errors, found_by, go
+from tests.integration.vrc.vrc_system import go
 
 CLIENT = Path(__file__).with_name("cyclone_client.py")
-ACTION = "/right_arm_traj_controller/follow_joint_trajectory"
 
 
-def test_cyclone_dds_reads_states_changes_the_mode_and_moves_an_arm(system: RunningInstance, ros: RosClient) -> None:
+def test_cyclone_dds_reads_states_and_changes_the_mode(system: RunningInstance, ros: RosClient) -> None:
     pytest.importorskip("cyclonedds", reason="no CycloneDDS; `make .venv/stock.stamp` installs it, up to Python 3.13")
     go(ros, "stand")
-    here = errors(ros, HOME)
-    target = FORWARD if max(here.values()) < 0.5 else HOME
-    found = found_by(system, CLIENT, ACTION, json.dumps(target))
+    done = subprocess.run(
+        [sys.executable, CLIENT], env=system.environment, capture_output=True, text=True, timeout=500, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
     assert found["ros"] == []
     assert found["joints"] == 38 and found["vectors"] == [38]
-    assert found["states"] > 250 and found["in order"] and found["clock"] > 0
-    assert found["mode"] == "stand_manipulate"
-    assert (found["status"], found["error"][0]) == (STATUS_SUCCEEDED, SUCCESSFUL), found["error"]
-    assert max(errors(ros, target).values()) < 0.05
+    assert found["in order"] and found["clock"] > 0
+    assert found["mode"] == ros.reports[-1].current_control_mode == "stand_manipulate"
     go(ros, "stand")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,6 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Duration
+from control_msgs.action import FollowJointTrajectory
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectoryPoint
 
 from harness.instance import RunningInstance, fresh_instance
 from harness.places import ROBOTS
@@ -46,22 +48,6 @@ def standing_robot() -> Iterator[RunningInstance]:
         yield running
 
 
-def found_by(system: RunningInstance, client: Path, *arguments: str) -> dict[str, Any]:
-    """What a program that is none of ours found, run from elsewhere: the last line that it prints, as JSON."""
-    result = subprocess.run(
-        [sys.executable, str(client), *arguments],
-        cwd="/",
-        env=system.environment,
-        capture_output=True,
-        text=True,
-        timeout=500,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr + system.log("motion_manager")
-    found: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
-    return found
-
-
 def go(ros: RosClient, mode: str) -> None:
     """Be in a mode; stand is given only once Stand Prep is done."""
 
@@ -87,8 +73,6 @@ class Topic:
     """All messages of a ROS topic, with whatever quality of service its publisher offers."""
 
     def __init__(self, ros: RosClient, message_type: type, name: str, *, latched: bool = False) -> None:
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
         qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
         if latched:
             qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
@@ -106,8 +90,6 @@ def resting(ros: RosClient) -> dict[str, float]:
 
     The test before may have left it settling: for a second after a goal an arm goes on by some hundredths.
     """
-    from sensor_msgs.msg import JointState
-
     states = Topic(ros, JointState, "/joint_states")
 
     def still() -> bool:
@@ -143,10 +125,6 @@ def errors(ros: RosClient, target: dict[str, float]) -> dict[str, float]:
 
 def send(ros: RosClient, target: dict[str, float], seconds: float) -> Any:
     """A goal of the right arm, under way."""
-    from builtin_interfaces.msg import Duration
-    from control_msgs.action import FollowJointTrajectory
-    from trajectory_msgs.msg import JointTrajectoryPoint
-
     goal = FollowJointTrajectory.Goal()
     goal.trajectory.joint_names = list(target)
     point = JointTrajectoryPoint(positions=list(target.values()), time_from_start=Duration(sec=int(seconds)))

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
-from valor.link.codec import KEPT, Codec, Receiver, Sender
-from valor.link.entropy import SCALES, Unpacker, pack, residual, take_residual
+from valor.link.codec import KEPT, SCALES, Codec, Receiver, Sender, Unpacker, pack, residual, take_residual
 from valor.link.errors import CodecError
-from valor.link.fields import BY_NAME, JOINT_STEP, Layout
-from valor.link.orientation import smaller, whole
+from valor.link.fields import BY_NAME, Layout, from_smallest_three, smallest_three
 from valor.link.state import RobotState
 from valor.robot.description import RobotDescription
+
+pytestmark = pytest.mark.portable
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 LAYOUT = Layout(ROBOT)
@@ -39,11 +39,6 @@ def vectors(draw: Any, beyond: float = 0.0) -> FloatArray:
 
 def close(received: FloatArray, sent: FloatArray) -> bool:
     return bool((np.abs(received - sent) <= HALF + 1e-9).all())
-
-
-def test_the_bounds_are_those_that_were_asked_for() -> None:
-    assert JOINT_STEP / 2 <= 0.001
-    assert BY_NAME["base_position"].bound <= 0.002
 
 
 @examples(60)
@@ -80,17 +75,6 @@ def test_garbage_raises_the_codecs_error_alone(data: bytes, with_reference: bool
 
 
 @examples(100)
-@given(vectors(), st.data())
-def test_one_wrong_bit_is_an_error_or_a_whole_other_frame(values: FloatArray, data: Any) -> None:
-    good = CODEC.encode(CODEC.quantise(values))
-    bit = data.draw(st.integers(0, 8 * len(good) - 1))
-    bad = (int.from_bytes(good, "big") ^ (1 << bit)).to_bytes(len(good), "big")
-    with contextlib.suppress(CodecError):
-        frame = CODEC.decode(bad)
-        assert (frame.levels < np.array(LAYOUT.levels)).all() and (frame.levels >= 0).all()
-
-
-@examples(100)
 @given(st.integers(-(2**38), 2**38), st.integers(1, SCALES - 1))
 def test_residuals_come_back(value: int, scale: int) -> None:
     unpacker = Unpacker(pack(residual(value, scale)))
@@ -106,7 +90,7 @@ def test_an_orientation_arrives_within_two_milliradians(quaternion: list[float])
     frame = CODEC.decode(CODEC.encode(CODEC.quantise(state.vector(LAYOUT))))
     received = RobotState.of(frame, LAYOUT).base_orientation
     assert 2 * np.arccos(min(1.0, abs(float(received @ q)))) <= 0.002
-    assert abs(float(whole(*smaller(q)) @ q)) == pytest.approx(1.0)
+    assert abs(float(from_smallest_three(*smallest_three(q)) @ q)) == pytest.approx(1.0)
 
 
 def test_a_state_comes_back_field_by_field() -> None:
@@ -159,15 +143,15 @@ def test_a_still_robot_costs_a_fifth_once_a_frame_is_acknowledged() -> None:
     alone = len(sender.encode(values, 1))
     sender.acknowledged(1)
     values = values.copy()
-    values[LAYOUT.places["clock"]] += 500
-    values[LAYOUT.places["stamp"]] += 500
+    values[LAYOUT.slices["clock"]] += 500
+    values[LAYOUT.slices["stamp"]] += 500
     assert len(sender.encode(values, 2)) < alone / 5
     assert len(sender.encode(values, 2 + KEPT)) == alone, "the receiver no longer has a frame so old"
 
 
 def test_a_reference_that_is_not_there_is_named() -> None:
     frame = CODEC.quantise((LAYOUT.low + LAYOUT.high) / 2)
-    with pytest.raises(CodecError, match="not here"):
+    with pytest.raises(CodecError, match="missing"):
         Receiver(CODEC).decode(CODEC.encode(frame, frame, 1), 5)
 
 

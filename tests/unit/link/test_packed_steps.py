@@ -14,9 +14,9 @@ from harness.places import ROBOTS
 from valor.link.errors import SealError
 from valor.robot.description import RobotDescription
 from valor.ros import packed_steps
-from valor.ros.relayed import Deflated
+from valor.ros.link_messages import MessageCodec
 
-DEFLATED = Deflated(RobotDescription.load(ROBOTS / "escher"))
+DEFLATED = MessageCodec(RobotDescription.load(ROBOTS / "escher"))
 PLACES = st.floats(-100.0, 100.0)
 
 

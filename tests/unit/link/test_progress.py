@@ -9,20 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from valor_msgs.msg import HandGoalStatus
 
+from harness.emulated_channel import Conditions
 from harness.examples import examples
 from harness.link_pair import Pair
 from harness.places import ROBOTS
 from tests.unit.link.test_packed_steps import walk
-from valor.link.classes import Kind
-from valor.link.emulator import Conditions
+from valor.link.classes import MessageClass
 from valor.link.errors import SealError
 from valor.link.fields import Layout
-from valor.link.reliable import Outbox
+from valor.link.records import Outbox
 from valor.link.state import RobotState
-from valor.link_operator.fates import Fates
+from valor.link_operator.goals import CommandHistory
 from valor.robot.description import RobotDescription
 from valor.ros import packed_steps
-from valor.ros.progress import FeedbackMessage, mark, pack_feedback, pack_hand, unpack_feedback, unpack_hand
+from valor.ros.progress import FeedbackMessage, checksum, pack_feedback, pack_hand, unpack_feedback, unpack_hand
 
 
 def test_a_plans_progress_comes_back_with_its_steps() -> None:
@@ -37,7 +37,7 @@ def test_a_plans_progress_comes_back_with_its_steps() -> None:
     packed = packed_steps.pack(told.feedback.steps)
     assert packed is not None
     content = pack_feedback(sent, packed)
-    came = unpack_feedback(content, {mark(packed): told.feedback.steps}, "odom")
+    came = unpack_feedback(content, {checksum(packed): told.feedback.steps}, "odom")
     assert came.feedback == told
     assert unpack_feedback(content, {}, "odom").feedback.feedback.steps == [], "steps that have not come are not told"
     assert len(content) < 45
@@ -61,25 +61,25 @@ def test_garbage_raises_the_links_error_alone(data: bytes) -> None:
 
 
 def test_the_fate_of_each_command_is_told_the_newest_first() -> None:
-    fates = Fates()
-    fates.sent(1, "flor/l_hand/goal_pose")
-    fates.sent(2, "trajectory_controllers/left_arm_traj_controller/follow_joint_trajectory")
-    fates.became(1, "done")
-    fates.unsent("cmd_vel", "no session")
-    told = fates.lines(time.monotonic())
+    history = CommandHistory()
+    history.sent(1, "flor/l_hand/goal_pose")
+    history.sent(2, "trajectory_controllers/left_arm_traj_controller/follow_joint_trajectory")
+    history.update(1, "done")
+    history.unsent("cmd_vel", "no session")
+    told = history.lines(time.monotonic())
     assert told["last_command"].startswith("cmd_vel: not sent: no session")
-    assert told["command_2"].startswith("left_arm_traj_controller: on its way")
+    assert told["command_2"].startswith("left_arm_traj_controller: pending")
     assert told["command_3"].startswith("goal_pose: done")
-    fates.lose_all("the link began anew")
-    fates.sent(1, "mode")
-    fates.became(1, "begun")
-    told = fates.lines(time.monotonic())
+    history.end_session("the link began anew")
+    history.sent(1, "mode")
+    history.update(1, "accepted")
+    told = history.lines(time.monotonic())
     assert [told[key].split(",")[0] for key in ("last_command", "command_3", "command_4")] == [
-        "mode: begun", "left_arm_traj_controller: the link began anew", "goal_pose: done",
+        "mode: accepted", "left_arm_traj_controller: the link began anew", "goal_pose: done",
     ]  # fmt: skip
     for number in range(2, 30):
-        fates.sent(number, "mode")
-    assert len(fates.lines(0.0)) == 8
+        history.sent(number, "mode")
+    assert len(history.lines(0.0)) == 8
 
 
 def test_of_how_a_plan_fares_the_newest_comes_and_nothing_that_it_replaces_is_sent_again() -> None:
@@ -89,7 +89,7 @@ def test_of_how_a_plan_fares_the_newest_comes_and_nothing_that_it_replaces_is_se
     link.until(lambda: link.operator.states, 5.0)
     before = 0
     for number in range(20):
-        before = link.robot.renew(Kind.PROGRESS, bytes((number,)), link.robot_time, before)
+        before = link.robot.replace(MessageClass.PROGRESS, bytes((number,)), link.robot_time, before)
         link.run(0.4)
     link.until(lambda: bytes((19,)) in link.answers, 20.0)
     link.run(20.0)
@@ -99,6 +99,6 @@ def test_of_how_a_plan_fares_the_newest_comes_and_nothing_that_it_replaces_is_se
 
 def test_news_of_progress_wait_behind_everything_that_is_urgent() -> None:
     outbox = Outbox()
-    for kind in (Kind.PROGRESS, Kind.ANSWER, Kind.STOP):
+    for kind in (MessageClass.PROGRESS, MessageClass.ANSWER, MessageClass.STOP):
         outbox.put(kind, b"", 0.0)
-    assert [each.kind for each in outbox.due(0.0)] == [Kind.STOP, Kind.ANSWER, Kind.PROGRESS]
+    assert [each.kind for each in outbox.due(0.0)] == [MessageClass.STOP, MessageClass.ANSWER, MessageClass.PROGRESS]

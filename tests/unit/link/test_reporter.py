@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -17,22 +17,21 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from valor_msgs.msg import HandGoalStatus
 
+from harness.emulated_channel import Conditions
 from harness.link_pair import Pair
 from harness.places import ROBOTS
 from harness.waiting import wait_until
 from tests.unit.link.test_packed_steps import walk
-from valor.link.emulator import Conditions
 from valor.link.fields import Layout
 from valor.link.state import RobotState
-from valor.link_operator.progress import Progress
-from valor.link_robot.obedience import Obedience
-from valor.link_robot.observer import KEPT, Observer
-from valor.link_robot.reporter import Reporter
+from valor.link_operator.republisher import Progress
+from valor.link_robot.command_executor import CommandExecutor, Reporter
+from valor.link_robot.observer import JOINT_MESSAGES, Observer
 from valor.robot.description import RobotDescription
 from valor.ros import packed_steps
+from valor.ros.link_messages import LinkMessageType, unpack_message
 from valor.ros.progress import FEEDBACK, GOAL_STATUS, FeedbackMessage, pack_feedback
-from valor.ros.relayed import Word, read
-from valor.valorctl.ros_domain import reserve
+from valor.valorctl.instance.ros_domain import reserve
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -53,77 +52,86 @@ def nodes() -> Iterator[tuple[Any, Any]]:
             context.try_shutdown()
 
 
-def test_what_changes_is_told_once_and_comes_as_it_was(nodes: tuple[Any, Any]) -> None:
+class Relay:
+    """The reporter of a robot, the link, and what is published on the operator's side."""
+
+    def __init__(self, ours: Any, theirs: Any) -> None:
+        layout = Layout(ROBOT)
+        still = RobotState(joints=np.zeros(layout.joints.stop - layout.joints.start))
+        self.link = Pair(layout, lambda: still, Conditions(bandwidth=9600.0, delay=0.1))
+        self.observer = Observer(ours, ROBOT)
+        self.reporter = Reporter(self.link.robot, self.observer, CommandExecutor(ours, self.link.robot, ROBOT))
+        self.progress = Progress(theirs, "odom", lambda number, feedback: None)
+        self.plans: list[Any] = []
+        self.hands: list[Any] = []
+        self.words: list[LinkMessageType] = []
+        theirs.create_subscription(FeedbackMessage, FEEDBACK, self.plans.append, LATCHED)
+        theirs.create_subscription(HandGoalStatus, GOAL_STATUS.format("r_hand"), self.hands.append, LATCHED)
+        self._chance = random.Random(1)
+        self.executor = SingleThreadedExecutor(context=theirs.context)
+        self.executor.add_node(theirs)
+
+    def turn(self) -> bool:
+        """Run both sides for 0.2 s of the link; returns false."""
+        self.observer.take()
+        serialize_message(String(data="ÿ" * self._chance.randrange(400)))  # leaves its bytes in memory
+        self.reporter.turn(self.link.robot_time)
+        self.link.run(0.2)
+        for content in self.link.answers:
+            word, number, body = unpack_message(content)
+            self.words.append(word)
+            if word is LinkMessageType.STEPS:
+                self.progress.steps(body)
+            elif word is LinkMessageType.PROGRESS:
+                self.progress.plan(number, body)
+            else:
+                self.progress.hand(number, body)
+        self.link.answers.clear()
+        self.executor.spin_once(timeout_sec=0.01)
+        return False
+
+    def wait(self, condition: Callable[[], object], what: str) -> None:
+        wait_until(lambda: self.turn() or condition(), 60.0, what)
+
+
+def test_what_changes_is_reported_once_and_arrives_unchanged(nodes: tuple[Any, Any]) -> None:
     ours, theirs = nodes
-    layout = Layout(ROBOT)
-    still = RobotState(joints=np.zeros(layout.joints.stop - layout.joints.start))
-    link = Pair(layout, lambda: still, Conditions(bandwidth=9600.0, delay=0.1))
-    observer = Observer(ours, ROBOT)
-    reporter = Reporter(link.robot, observer, Obedience(ours, link.robot, ROBOT))
-    progress = Progress(theirs, "odom", lambda number, feedback: None)
+    relay = Relay(ours, theirs)
     plans = ours.create_publisher(FeedbackMessage, FEEDBACK, LATCHED)
     hands = ours.create_publisher(HandGoalStatus, GOAL_STATUS.format("r_hand"), LATCHED)
-    heard: dict[str, list[Any]] = {"plans": [], "hands": []}
-    theirs.create_subscription(FeedbackMessage, FEEDBACK, heard["plans"].append, LATCHED)
-    theirs.create_subscription(HandGoalStatus, GOAL_STATUS.format("r_hand"), heard["hands"].append, LATCHED)
     sent = FeedbackMessage()
     sent.feedback.header.frame_id = sent.feedback.feedback.header.frame_id = "odom"
     sent.feedback.feedback.steps, sent.feedback.currently_executing_step_index = walk(6), 2
     status = HandGoalStatus(hand=1, state="out_of_reach", reason="too far", position_error=0.25)
     plans.publish(sent)
     hands.publish(status)
-    words: list[Word] = []
-    chance = random.Random(1)
-
-    def turn() -> bool:
-        observer.look()
-        serialize_message(String(data="ÿ" * chance.randrange(400)))  # leaves its bytes in memory
-        reporter.tell(link.robot_time)
-        link.run(0.2)
-        for content in link.answers:
-            word, number, body = read(content)
-            words.append(word)
-            if word is Word.STEPS:
-                progress.steps(body)
-            elif word is Word.PROGRESS:
-                progress.plan(number, body)
-            else:
-                progress.hand(number, body)
-        link.answers.clear()
-        executor.spin_once(timeout_sec=0.01)
-        return False
-
-    executor = SingleThreadedExecutor(context=theirs.context)
-    executor.add_node(theirs)
-
-    def steps() -> bool:
-        return bool(heard["plans"] and heard["plans"][-1].feedback.feedback.steps)
-
-    wait_until(lambda: turn() or (steps() and heard["hands"]), 60.0, "both to be told")
-    came = heard["plans"][-1].feedback
+    relay.wait(lambda: relay.hands and relay.plans and relay.plans[-1].feedback.feedback.steps, "both are reported")
+    came = relay.plans[-1].feedback
     assert came.currently_executing_step_index == 2
     assert [step.step_index for step in came.feedback.steps] == [0, 1, 2, 3, 4, 5]
-    assert heard["hands"][-1] == status
+    assert relay.hands[-1] == status
     for _ in range(60):
-        turn()
-    assert sorted(words) == [Word.STEPS, Word.PROGRESS, Word.HAND], "what has not changed is not told again"
+        relay.turn()
+    assert sorted(relay.words) == [LinkMessageType.STEPS, LinkMessageType.PROGRESS, LinkMessageType.HAND], (
+        "values without a change are not sent again"
+    )
     sent.feedback.currently_executing_step_index = 3
     plans.publish(sent)
-    before = len(heard["plans"])
-    wait_until(lambda: turn() or len(heard["plans"]) > before, 60.0, "the next step to be told")
-    assert heard["plans"][-1].feedback.feedback.steps == came.feedback.steps
-    assert words.count(Word.STEPS) == 1, "steps that have not changed travel once"
+    before = len(relay.plans)
+    relay.wait(lambda: len(relay.plans) > before, "the next step is reported")
+    assert relay.plans[-1].feedback.feedback.steps == came.feedback.steps
+    assert relay.words.count(LinkMessageType.STEPS) == 1, "steps without a change are sent once"
     late = Progress(theirs, "odom", lambda number, feedback: None)
     packed = packed_steps.pack(sent.feedback.feedback.steps)
     assert packed is not None
-    before = len(heard["plans"])
+    before = len(relay.plans)
     late.plan(0, pack_feedback(sent, packed))
     late.steps(packed)
-    wait_until(lambda: turn() or len(heard["plans"]) >= before + 2, 60.0, "steps that come behind their progress")
-    assert heard["plans"][-1].feedback.feedback.steps == came.feedback.steps
-    reporter.begin()
-    wait_until(lambda: turn() or words.count(Word.STEPS) == 2, 60.0, "another session to be told all")
-    executor.shutdown()
+    relay.wait(lambda: len(relay.plans) >= before + 2, "steps that arrive after their progress")
+    assert relay.plans[-1].feedback.feedback.steps == came.feedback.steps
+    relay.reporter.begin_session()
+    relay.wait(lambda: relay.words.count(LinkMessageType.STEPS) == 2, "another session is sent everything")
+    relay.executor.shutdown()
 
 
 def test_joints_and_base_of_a_state_are_of_one_moment(nodes: tuple[Any, Any]) -> None:
@@ -150,7 +158,7 @@ def test_joints_and_base_of_a_state_are_of_one_moment(nodes: tuple[Any, Any]) ->
     for moment in range(1, 5):
         publish(moment, with_base=moment == 2)
     wait_until(lambda: newest() == (2.0, pytest.approx(0.2), 2.0), 60.0, "the joints of the base's moment")
-    for moment in range(5, 5 + KEPT):
+    for moment in range(5, 5 + JOINT_MESSAGES):
         publish(moment, with_base=False)
-    last = 4.0 + KEPT
+    last = 4.0 + JOINT_MESSAGES
     wait_until(lambda: newest() == (last, pytest.approx(0.1 * last), 2.0), 60.0, "joints that no base goes with")

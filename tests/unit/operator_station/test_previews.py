@@ -1,24 +1,29 @@
-"""What is shown before anything moves: arms' goals, steps, and the shapes that it is shown with."""
+"""Previews of goals and steps, the shapes that show them, clicks on the robot, and the simulated world."""
+
+import math
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 import pytest
+from viser import ViserServer
 
 from harness.closed_loop import load_robot
 from valor.common.errors import ValorError
 from valor.common.poses import level, middle
-from valor.operator_station import shapes
-from valor.operator_station.body import Body
-from valor.operator_station.figure import local_poses
-from valor.operator_station.footfalls import faults, floor_point, sole_poses, walk_to
-from valor.operator_station.overlays import force_arrow
-from valor.operator_station.preview import Previewer
+from valor.operator_station.scene import shapes
+from valor.operator_station.scene.body import Body
+from valor.operator_station.scene.footfalls import faults, floor_point, sole_poses, walk_to
+from valor.operator_station.scene.overlays import force_arrow
+from valor.operator_station.scene.scene import Surroundings, local_poses, moving
+from valor.operator_station.tabs.preview import Previewer
 from valor.robot.model import full_model
 from valor.simulation import worlds
 
 ROBOT = load_robot("escher")
 BOTH = (True, True)
 UP_AHEAD = np.array((0.06, 0.0, 0.05))
+OPEN = np.array([0.7, 0.2])  # of the door's leaf and lever [rad]
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +42,7 @@ def test_the_robots_own_presets_are_not_refused(name: str, body: Body, previewer
         assert previewer.arm(body, goal, BOTH).faults == []
 
 
-def test_limits_collisions_and_balance_are_told(body: Body, previewer: Previewer) -> None:
+def test_limits_collisions_and_balance_are_reported(body: Body, previewer: Previewer) -> None:
     joint = ROBOT.tables.group("right_arm")[0]
     beyond = float(ROBOT.upper[ROBOT.index[joint]]) + 0.1
     assert previewer.arm(body, {joint: beyond}, BOTH).faults[0].startswith(f"limits: {joint}")
@@ -66,30 +71,14 @@ def test_a_hand_reaches_what_is_near_and_not_what_is_far(body: Body, previewer: 
     assert far.faults[0].startswith("reach: the right hand would stay")
 
 
-def test_a_click_becomes_steps_that_the_robot_takes(body: Body) -> None:
-    soles = sole_poses(body.soles())
-    here = middle(*soles)
-    place = floor_point((here.position[0], 0.0, 2.0), (0.5, 0.0, -1.0), 0.0)
-    assert place is not None
-    way = walk_to(ROBOT, soles, place)
-    assert way.faults == []
-    end = dict(way.steps)
-    assert middle(end[0], end[1]).position[:2] == pytest.approx(place, abs=1e-6)
-    assert {foot for foot, _ in way.steps} == {0, 1}
-
-
 def test_clicks_that_lead_nowhere(body: Body) -> None:
     soles = sole_poses(body.soles())
     assert floor_point((0.0, 0.0, 2.0), (1.0, 0.0, 0.0), 0.0) is None
     assert floor_point((0.0, 0.0, -1.0), (0.0, 0.0, -1.0), 0.0) is None
     with pytest.raises(ValorError, match="there already"):
         walk_to(ROBOT, soles, middle(*soles).position[:2])
-    with pytest.raises(ValorError, match="farther than"):
+    with pytest.raises(ValorError, match="exceeds a plan"):
         walk_to(ROBOT, soles, (1000.0, 0.0))
-
-
-def test_steps_out_of_reach_are_told(body: Body) -> None:
-    soles = sole_poses(body.soles())
     assert "forward of the other foot" in faults(ROBOT, soles, [(0, level(2.0, 0.1, 0.0, 0.0))])[0]
 
 
@@ -109,19 +98,71 @@ def test_frames_in_their_parents_make_the_whole(body: Body) -> None:
         assert abs(float(turn @ moved.data.xquat[number])) == pytest.approx(1.0)
 
 
-def test_every_shape_of_robot_and_worlds_is_drawn() -> None:
-    model = full_model(ROBOT, "all").mj
-    drawn = [number for number in range(1, model.nbody) if shapes.of_body(model, number)]
-    shaped = {int(body) for body in model.geom_bodyid} - {0}
-    assert set(drawn) == shaped
-    stairs = shapes.of_world(worlds.load("stairs", 0).compile())
-    assert stairs
-    for mesh in stairs:
-        assert mesh.faces.max() < len(mesh.vertices)
-
-
 def test_a_force_starts_at_the_centre_of_pressure() -> None:
     wrench = np.array((0.0, 0.0, 400.0, 400.0 * 0.02, -400.0 * 0.05, 0.0))
     arrow = force_arrow(wrench, np.array((1.0, 2.0, 0.0)), np.eye(3))
     np.testing.assert_allclose(arrow[0], (1.05, 2.02, 0.0))
     np.testing.assert_allclose(arrow[1] - arrow[0], (0.0, 0.0, 0.4))
+
+
+@pytest.fixture(scope="module")
+def whole() -> Body:
+    return Body(full_model(ROBOT, "all"))
+
+
+def test_every_shape_of_the_robot_is_drawn(whole: Body) -> None:
+    model = whole.model.mj
+    drawn = {number for number in range(1, model.nbody) if shapes.of_body(model, number)}
+    assert drawn == {int(body) for body in model.geom_bodyid} - {0}
+
+
+@pytest.fixture
+def server() -> Iterator[ViserServer]:
+    server = ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server
+    server.stop()
+
+
+@pytest.mark.parametrize(("world", "bodies"), [("door", 2), ("valve", 1), ("flat", 0), ("stairs", 0)])
+def test_what_turns_in_a_world_is_drawn_beside_what_does_not(world: str, bodies: int) -> None:
+    model = worlds.load(world, 1).compile()
+    assert len(moving(model)) == bodies
+    assert all(shapes.of_body(model, body) for body in moving(model))
+    still = shapes.of_world(model)
+    assert bool(still) == (world != "flat"), "a plane is drawn by the page"
+    assert all(mesh.faces.max() < len(mesh.vertices) for mesh in still)
+
+
+def test_a_door_is_drawn_as_far_open_as_it_is(server: ViserServer) -> None:
+    model = worlds.load("door", 1).compile()
+    surroundings = Surroundings(server.scene, model)
+    data = mujoco.MjData(model)
+    leaf, lever = moving(model)
+
+    def check(positions: np.ndarray) -> None:
+        data.qpos[:] = positions
+        mujoco.mj_kinematics(model, data)
+        for body in (leaf, lever):
+            np.testing.assert_allclose(surroundings.frames[body].position, data.xpos[body], atol=1e-9)
+            np.testing.assert_allclose(surroundings.frames[body].wxyz, data.xquat[body], atol=1e-9)
+
+    check(np.zeros(2))
+    shut = np.array(surroundings.frames[leaf].wxyz)
+    surroundings.turn(OPEN)
+    check(OPEN)
+    assert 2.0 * math.acos(min(1.0, abs(float(shut @ surroundings.frames[leaf].wxyz)))) == pytest.approx(OPEN[0])
+    surroundings.turn(np.zeros(0))
+    surroundings.turn(np.zeros(3))
+    check(OPEN)
+
+
+def test_foxglove_draws_the_same_fixtures() -> None:
+    pytest.importorskip("foxglove")
+    from valor.common.instance import Settings
+    from valor.foxglove_bridge.world import World
+
+    door = World(Settings(robot=ROBOT.folder, ros_domain_id=1, world="door", seed=1), ROBOT)
+    shut, opened = door.fixtures("odom", np.zeros(2)), door.fixtures("odom", OPEN)
+    assert repr(shut) != repr(opened), "it is somewhere else"
+    assert repr(shut).count("CubePrimitive") == repr(opened).count("CubePrimitive") >= 1
+    assert door.fixtures("odom", np.zeros(1)) is None

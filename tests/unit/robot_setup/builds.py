@@ -1,4 +1,4 @@
-"""Bodies that between them have all that makers do, and what is looked for in a folder that was made of one."""
+"""Generated robots that cover the variety of makers' models, and folders created from them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from pathlib import Path
 from harness.generated_robot import Build, mjcf
 from valor.robot.description import RobotDescription
 from valor.robot_setup.new import new_robot
-from valor.robot_setup.skeleton import Skeleton, skeleton
-from valor.robot_setup.source import Source
 
 BUILDS = {
     "plain": Build(),
@@ -35,19 +33,12 @@ BUILDS = {
 
 
 def written(build: Build, folder: Path) -> Path:
-    """The model's file."""
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "maker.xml"
     file.write_text(mjcf(build))
     return file
 
 
-def found(build: Build, folder: Path) -> Skeleton:
-    """What is seen in the model."""
-    return skeleton(Source(written(build, folder)))
-
-
 def made(build: Build, folder: Path) -> RobotDescription:
-    """The robot of the folder that is made of it."""
     new_robot(written(build, folder), folder / "robot", "generated")
     return RobotDescription.load(folder / "robot")

@@ -1,7 +1,5 @@
 """Fixtures of the Whole-Body Controller's tests: ESCHER, its reduced model, and random states."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -15,7 +13,7 @@ from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model
 from valor.whole_body.model.dynamics import Dynamics
-from valor.whole_body.tasks.table import motions
+from valor.whole_body.tasks import motions
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,5 @@
 """Walking in closed loop, on a plant that is not the controller's model, in one process."""
 
-from __future__ import annotations
-
 from typing import Self
 
 import mujoco
@@ -13,8 +11,7 @@ from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT
 from valor.simulation import worlds
 from valor.simulation.worlds.world import ground
-from valor.whole_body.walking.footsteps import Step, level_pose
-from valor.whole_body.walking.step_queue import StepQueue
+from valor.whole_body.walking.footsteps import Step, StepQueue, level_pose
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 

@@ -1,8 +1,8 @@
 """The pelvis led from outside: within what the legs can do, never by a jump, and without losing the balance."""
 
-from __future__ import annotations
-
 from itertools import product
+from types import SimpleNamespace
+from typing import Any
 
 import casadi as ca
 import mujoco
@@ -14,19 +14,16 @@ from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
+from valor.common.kernel import roll_pitch_yaw
 from valor.common.messages import PelvisSetpoint
 from valor.common.topics import PELVIS
-from valor.common.turns import roll_pitch_yaw
-from valor.motion_manager.handlers.pelvis import PelvisHandler
-from valor.motion_manager.handlers.rejections import Rejections
-from valor.motion_manager.states.behavior_fsm import BehaviorFsm
+from valor.motion_manager.behavior_fsm import BehaviorFsm
+from valor.motion_manager.handlers.handler import RejectionCounter
+from valor.motion_manager.handlers.motion import PelvisHandler
 from valor.robot.commanded_limits import SPEED_MARGIN
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.whole_body.balance.pelvis import (
-    LegKinematics,
-    PelvisReference,
-)
+from valor.whole_body.balance.pelvis import LegKinematics, PelvisReference
 from valor.whole_body.model.dynamics import ModelJoints
 
 
@@ -39,8 +36,11 @@ class Bench:
     """The handler, a behavior and robot time."""
 
     def __init__(self, pelvis: PelvisReference, *behaviors: Behavior) -> None:
-        self.fsm, self.pelvis, self.rejections = BehaviorFsm(), pelvis, Rejections()
-        self.handler = PelvisHandler(self.fsm, pelvis, self.rejections)
+        self.fsm, self.pelvis, self.rejections = BehaviorFsm(), pelvis, RejectionCounter()
+        components: Any = SimpleNamespace(
+            fsm=self.fsm, controller=SimpleNamespace(pelvis=pelvis), rejections=self.rejections
+        )
+        self.handler = PelvisHandler(components)
         for behavior in (Behavior.STAND_PREP, *behaviors):
             self.fsm.go(behavior, "test")
 
@@ -109,12 +109,12 @@ def test_the_handler_clamps(pelvis: PelvisReference) -> None:
 @pytest.mark.parametrize(
     ("behaviors", "position", "age", "reason"),
     [
-        ((), np.zeros(6), 0.0, "led while the robot stands; it is in behavior stand_prep"),
-        ((Behavior.STAND, Behavior.SOFT_STOP), np.zeros(6), 0.0, "it is in behavior soft_stop"),
+        ((), np.zeros(6), 0.0, "while the robot stands or steps; it is in stand_prep"),
+        ((Behavior.STAND, Behavior.SOFT_STOP), np.zeros(6), 0.0, "it is in soft_stop"),
         ((Behavior.STAND,), np.zeros(5), 0.0, "position has 5 numbers; expected 6"),
         ((Behavior.STAND,), np.array((0, 0, np.nan, 0, 0, 0)), 0.0, "not finite"),
         ((Behavior.STAND,), np.zeros(6), 2.0, "made for a state 2.000 s old"),
-        ((Behavior.STAND, Behavior.WALK), np.array((0.01, 0, 0.8, 0, 0, 0)), 0.0, "height alone"),
+        ((Behavior.STAND, Behavior.WALK), np.array((0.01, 0, 0.8, 0, 0, 0)), 0.0, "only the pelvis' height"),
     ],
 )
 def test_the_handler_refuses_and_nothing_moves(

@@ -1,7 +1,5 @@
 """Every robot of ``robots/`` stands and walks on its own tables, in a plant that is not what is believed of it."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 
@@ -10,8 +8,8 @@ import pytest
 
 from harness.closed_loop import ClosedLoop, load_robot
 from harness.places import ROBOTS
-from valor.rehearsal.plan_walk import walk_plan
-from valor.robot.step_planner import plan_to
+from valor.robot.step_plan import plan_to
+from valor.self_test.plan_walk import walk_plan
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 SPEED = 0.3  # [m/s]
@@ -61,7 +59,7 @@ def reach(loop: ClosedLoop, side: Literal["left", "right"], preset: str) -> None
     loop.run(0.5)
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("name", ["escher", *OTHERS])
 def test_it_takes_a_footstep_plan(name: str) -> None:
     robot = load_robot(name)
     assert robot.tables.footsteps is not None

@@ -1,18 +1,20 @@
 """The feet's stance to each other is held, wherever both are."""
 
-from __future__ import annotations
-
 import casadi as ca
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.closed_loop import ClosedLoop, load_robot
+from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common import rotation
+from valor.robot.model import Model
 from valor.whole_body.balance.reference import Feet
 from valor.whole_body.state import RobotState
-from valor.whole_body.tasks.feet import hold, stance
+from valor.whole_body.tasks import hold, stance
+from valor.whole_body.walking.velocity_steps import FOOTHOLDS, STEEPEST, GroundPlane
 
 STIFFNESS = 100.0
 
@@ -62,3 +64,96 @@ def test_feet_that_crept_apart_are_drawn_together(standing: RobotState, heading:
     np.testing.assert_allclose(left[:3], -0.5 * STIFFNESS * ahead, atol=1e-9)
     np.testing.assert_allclose(left[3:], (0.0, 0.0, -0.5 * STIFFNESS * 0.003), atol=1e-9)
     np.testing.assert_allclose(right, -left, atol=1e-12)
+
+
+# What the footholds report the ground ahead.
+
+
+slopes = st.floats(-STEEPEST, STEEPEST)
+places = st.floats(-50.0, 50.0)
+
+
+def walked(ground: GroundPlane, places: np.ndarray) -> None:
+    """Tell it of (n, 3) footholds, one after the other, the first two those of a robot that stands."""
+    for i in range(1, len(places)):
+        ground.stand((places[i - 1], places[i]), moved=i > 1)
+
+
+def zigzag(count: int, stride: float, at: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """(count, 3) level footholds, left and right, from somewhere."""
+    i = np.arange(count)
+    return np.stack((at[0] + stride * i, at[1] + 0.1 * (-1.0) ** i, np.zeros(count)), axis=1)
+
+
+@given(slopes, slopes, places, places, st.floats(-3.0, 3.0))
+def test_on_a_plane_the_next_foothold_is_reported_nearly_and_never_overdone(
+    rise: float, lean: float, x: float, y: float, height: float
+) -> None:
+    feet = zigzag(FOOTHOLDS + 2, 0.25, (x, y))
+    feet[:, 2] = height + rise * (feet[:, 0] - x) + lean * (feet[:, 1] - y)
+    ground = GroundPlane()
+    walked(ground, feet[:-1])
+    following = feet[-1]
+    without = feet[:-1, 2][-1]
+    error = ground.height(following[0], following[1]) - following[2]
+    assert abs(error) <= 0.5 * (abs(rise) * 0.25 + abs(lean) * 0.2) + 1e-9
+    if rise == lean == 0.0:
+        assert without == pytest.approx(height)
+        assert error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_level_ground_is_level_whatever_happened_before_it_was_forgotten() -> None:
+    ground = GroundPlane()
+    feet = zigzag(8, 0.25)
+    walked(ground, feet + np.outer(np.arange(8), (0.0, 0.0, 0.02)))
+    assert ground.height(10.0, 0.0) > 0.3
+    ground.forget()
+    ground.stand((feet[0], feet[1]), moved=False)
+    assert ground.height(10.0, 3.0) == pytest.approx(0.0)
+
+
+def test_a_cliff_is_not_taken_for_a_slope_to_go_on() -> None:
+    ground = GroundPlane()
+    feet = zigzag(4, 0.25)
+    feet[2:, 2] = -1.0
+    walked(ground, feet)
+    (x, y, z), way = feet[-1], 0.25
+    assert z - 1.0 < ground.height(x + way, y) < z + 1.0
+    assert ground.height(x + way, y) - ground.height(x, y) >= -STEEPEST * way - 1e-9
+
+
+def test_a_foot_that_settles_is_believed_where_it_settled() -> None:
+    ground, other = GroundPlane(), GroundPlane()
+    feet = zigzag(3, 0.25)
+    other.stand((feet[0], feet[1]), moved=False)
+    other.stand((feet[1], feet[2]), moved=True)
+    ground.stand((feet[0], feet[1] + (0.0, 0.0, 0.02)), moved=False)  # on its edge yet
+    ground.stand((feet[1], feet[2]), moved=True)
+    assert ground.height(1.0, 0.0) == pytest.approx(other.height(1.0, 0.0))
+
+
+# Dynamics, Jacobians, their drift and the centroidal quantities, against MuJoCo's own and finite differences.
+
+
+STATES = 5
+
+
+@pytest.fixture(params=range(STATES))
+def state(request: pytest.FixtureRequest, model: Model) -> RandomState:
+    state: RandomState = list(random_states(model, STATES, seed=1))[request.param]
+    return state
+
+
+def test_mass_matrix_and_bias_do_not_depend_on_place_and_linear_velocity(model: Model, state: RandomState) -> None:
+    dynamics = state.evaluate(model)
+    full = np.zeros_like(dynamics.mass_matrix)
+    mujoco.mj_fullM(model.mj, state.data, full)
+    np.testing.assert_allclose(dynamics.mass_matrix, full, atol=1e-10)
+    np.testing.assert_allclose(dynamics.bias, state.data.qfrc_bias, atol=1e-9)
+
+
+def test_angular_momentum_matrix(model: Model, state: RandomState) -> None:
+    dynamics = state.evaluate(model)
+    matrix = np.zeros((3, model.mj.nv))
+    mujoco.mj_angmomMat(model.mj, state.data, matrix, model.body(model.robot.tables.base))
+    np.testing.assert_allclose(dynamics.jacobian[dynamics.rows["angular_momentum"]], matrix, atol=1e-11)

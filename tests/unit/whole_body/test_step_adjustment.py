@@ -1,7 +1,5 @@
 """Where and when a step comes down when the DCM is not where it was planned to be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, exp, inf, nan, sin
 
@@ -16,8 +14,7 @@ from harness.closed_loop import load_robot
 from valor.robot.footsteps import LEFT, StepRule
 from valor.whole_body.tuning_tables import Tuning
 from valor.whole_body.walking.footsteps import Step, level_pose
-from valor.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster
-from valor.whole_body.walking.step_guard import StepGuard
+from valor.whole_body.walking.step_guard import Adjustment, Situation, StepAdjuster, StepGuard
 
 OMEGA = 3.377
 TRANSFER = 0.2

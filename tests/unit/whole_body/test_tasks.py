@@ -1,7 +1,5 @@
 """Every task of the table: its Jacobian and drift by finite differences, what it asks for by its equation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 
@@ -16,14 +14,22 @@ from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.whole_body.balance.dcm import DcmLaw
-from valor.whole_body.balance.reference import Feet, Reference
+from valor.whole_body.balance.reference import DcmLaw, Feet, Reference
 from valor.whole_body.model.dynamics import Dynamics
-from valor.whole_body.solver.objective import REGULARIZATION, Objective
-from valor.whole_body.tasks.feet import sole_rows, stance
-from valor.whole_body.tasks.posture import CATCH_UP, GROUPS, Posture
-from valor.whole_body.tasks.table import TASKS, WEIGHTS, motions, nominal_weights
-from valor.whole_body.tasks.task import Period, Task
+from valor.whole_body.solver.qp import REGULARIZATION, Objective
+from valor.whole_body.tasks import (
+    CATCH_UP,
+    GROUPS,
+    TASKS,
+    WEIGHTS,
+    Period,
+    Posture,
+    Task,
+    motions,
+    nominal_weights,
+    sole_rows,
+    stance,
+)
 from valor.whole_body.tuning_tables import Tuning
 
 STEP = 1e-6  # [s]
@@ -80,13 +86,6 @@ def test_a_jacobian_gives_the_velocity_of_what_it_is_of(task: type[Task], model:
     np.testing.assert_allclose(dynamics.jacobian[dynamics.rows[task.name]] @ state.qvel, numeric, rtol=1e-5, atol=1e-6)
 
 
-def test_the_jacobian_of_angular_momentum_gives_mujocos(model: Model, state: RandomState) -> None:
-    """It is of a velocity already: J·v is k, but for the armature, which acts on joints alone."""
-    dynamics, data = state.evaluate(model), moved(model, state, 0.0)
-    momentum = dynamics.jacobian[dynamics.rows["angular_momentum"]] @ state.qvel
-    np.testing.assert_allclose(momentum, data.subtree_angmom[model.body(model.robot.tables.base)], atol=1e-9)
-
-
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
 def test_a_drift_is_the_change_of_the_velocity_at_constant_v(
     task: type[Task], model: Model, state: RandomState
@@ -110,17 +109,17 @@ def test_a_velocity_is_that_of_the_jacobian(task: type[Task], model: Model, stat
     np.testing.assert_allclose(whole, dynamics.jacobian[rows] @ state.qvel, atol=1e-10)
 
 
-def test_of_each_motion_something_is_measured() -> None:
-    assert {task.name for task in TASKS} == {*PLACES, "angular_momentum"}
-
-
-def test_rows_are_one_below_the_other_and_all_there_are(model: Model) -> None:
-    of_all = motions(model)
+def test_rows_of_tasks_and_names_of_weights_have_the_order_of_the_interface(
+    robot: RobotDescription, model: Model
+) -> None:
+    of_all, table = motions(model), robot.read(Tuning).whole_body
     assert list(of_all.rows) == [task.name for task in TASKS]
-    ends = [(rows.start, rows.stop) for rows in of_all.rows.values()]
-    assert ends[0][0] == 0
-    assert ends[-1][1] == of_all.count == len(of_all.carried)
-    assert all(stop == start for (_, stop), (start, _) in pairwise(ends))
+    ends = [0, *(rows.stop for rows in of_all.rows.values())]
+    assert [(rows.start, rows.stop) for rows in of_all.rows.values()] == list(pairwise(ends))
+    assert ends[-1] == of_all.count == len(of_all.carried)
+    assert WEIGHTS[:4] == ("com", "angular_momentum", "orientation", "foot")
+    assert WEIGHTS[-3:] == ("arm_posture", "waist_posture", "leg_posture")
+    assert nominal_weights(table) == [getattr(table, f"{name}_weight") for name in WEIGHTS]
 
 
 # --- what they ask for ------------------------------------------------------------------------------------------------
@@ -144,7 +143,7 @@ def period(
 def asked(
     task: type[Task], robot: RobotDescription, model: Model, now: Period, dynamics: Dynamics
 ) -> tuple[FloatArray, FloatArray]:
-    """What a task asks for, and the velocity that it was told."""
+    """What a task asks for, and the velocity that it was given."""
     of_all = motions(model)
     velocity = dynamics.jacobian[of_all.rows[task.name]] @ dynamics.velocity
     pose = dynamics.poses[of_all.poses[task.name]]
@@ -156,18 +155,14 @@ def named(name: str) -> type[Task]:
     return next(task for task in TASKS if task.name == name)
 
 
-def test_the_com_is_led_away_from_the_repellent_point(
+def test_the_com_is_led_from_the_repellent_point_and_angular_momentum_is_damped(
     robot: RobotDescription, model: Model, state: RandomState
 ) -> None:
     now, _ = period(robot, dynamics := state.evaluate(model), steps=False, swinging=None)
-    wanted, _ = asked(named("com"), robot, model, now, dynamics)
-    np.testing.assert_allclose(wanted, 3.5**2 * np.array(now.com - now.repellent_point)[:, 0], rtol=1e-12)
-
-
-def test_angular_momentum_is_damped(robot: RobotDescription, model: Model, state: RandomState) -> None:
-    now, _ = period(robot, dynamics := state.evaluate(model), steps=False, swinging=None)
-    wanted, momentum = asked(named("angular_momentum"), robot, model, now, dynamics)
-    np.testing.assert_allclose(wanted, -robot.read(Tuning).whole_body.angular_momentum_gain * momentum)
+    com, _ = asked(named("com"), robot, model, now, dynamics)
+    np.testing.assert_allclose(com, 3.5**2 * np.array(now.com - now.repellent_point)[:, 0], rtol=1e-12)
+    damped, momentum = asked(named("angular_momentum"), robot, model, now, dynamics)
+    np.testing.assert_allclose(damped, -robot.read(Tuning).whole_body.angular_momentum_gain * momentum)
 
 
 @pytest.mark.parametrize("name", ["chest", "pelvis"])
@@ -201,14 +196,6 @@ def test_feet_stay_or_follow_their_path(
                 swing[18:] + walking.foot_stiffness * away + walking.foot_damping * (swing[12:18] - velocity[rows])
             )
         np.testing.assert_allclose(wanted[rows], expected, rtol=1e-9, atol=1e-9)
-
-
-def test_feet_that_stand_are_held_to_each_other(robot: RobotDescription, model: Model, state: RandomState) -> None:
-    now, _ = period(robot, dynamics := state.evaluate(model), steps=False, swinging=None)
-    wanted, velocity = asked(named("feet"), robot, model, now, dynamics)
-    held = wanted + robot.read(Tuning).whole_body.foot_damping * velocity
-    np.testing.assert_allclose(held[:6], -held[6:], atol=1e-9)
-    assert held[5] == pytest.approx(0.5 * robot.read(Tuning).whole_body.stance_stiffness * 0.03)
 
 
 def test_posture_is_followed_no_faster_than_allowed(robot: RobotDescription, model: Model) -> None:
@@ -252,11 +239,3 @@ def test_the_objective_weighs_each_task_by_its_own_weight(robot: RobotDescriptio
         places = 6 + dynamics.joints.group(*groups)
         expected[places, places] += weights[name]
     np.testing.assert_allclose(objective.hessian, expected, rtol=1e-9, atol=1e-9)
-
-
-def test_weights_are_those_of_the_robot_and_named_as_the_interface_has_them(robot: RobotDescription) -> None:
-    assert WEIGHTS[:4] == ("com", "angular_momentum", "orientation", "foot")
-    assert WEIGHTS[-3:] == ("arm_posture", "waist_posture", "leg_posture")
-    table = robot.read(Tuning).whole_body
-    assert nominal_weights(table)[:2] == [table.com_weight, table.angular_momentum_weight]
-    assert nominal_weights(table)[-1] == table.leg_posture_weight

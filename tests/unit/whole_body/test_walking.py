@@ -1,8 +1,6 @@
 """The DCM's plan, swinging feet and steps on line: mathematics against numerical integration and limits."""
 
-from __future__ import annotations
-
-from math import cos, sin
+from math import cos
 
 import numpy as np
 import pytest
@@ -11,11 +9,10 @@ from hypothesis import strategies as st
 
 from valor.common import rotation
 from valor.robot.description import RobotDescription
-from valor.robot.footsteps import LEFT, RIGHT, StepRule
+from valor.robot.footsteps import StepRule
 from valor.whole_body.walking.dcm_plan import DcmPlan
 from valor.whole_body.walking.footsteps import Step, level_pose
-from valor.whole_body.walking.step_queue import StepQueue
-from valor.whole_body.walking.swing import SHORTEST_RISE, SolePose, SwingPoint, SwingTrajectory
+from valor.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 OMEGA = 3.377
@@ -68,21 +65,6 @@ def test_a_plan_gives_way_no_further_than_it_may(
         np.testing.assert_array_equal(plan.knots, free.knots)
 
 
-def test_a_plan_is_what_integration_gives() -> None:
-    """ξ̇ = ω·(ξ − v) integrated backwards from rest, where it is stable."""
-    durations = [0.5, 0.5, 0.6, 0.2, 0.6, 1.0]
-    knots = np.array([[0, 0, 0.9], [0, 0.05, 0.9], [0, 0.1, 0.9], [0, 0.1, 0.9], [0.3, -0.1, 1.0], [0.3, -0.1, 1.0],
-                      [0.3, 0, 1.0]])  # fmt: skip
-    plan = DcmPlan(OMEGA, durations, knots, np.array([0.01, 0.0, 0.9]))
-    times = np.concatenate(([0.0], np.cumsum(durations)))
-    dcm, time = plan.knots[-1].copy(), plan.duration
-    while time > 0.0:
-        vrp = np.array([np.interp(time - DT / 2, times, plan.knots[:, i]) for i in range(3)])
-        dcm = vrp + (dcm - vrp) * np.exp(-OMEGA * DT)
-        time -= DT
-    np.testing.assert_allclose(dcm, [0.01, 0.0, 0.9], atol=1e-6)
-
-
 def test_a_plan_on_hold_lets_the_dcm_go_on_from_where_the_vrp_rests() -> None:
     knots = np.array([[0, 0.1, 0.9], [0, -0.1, 0.9], [0, -0.1, 0.9], [0.3, 0.1, 0.9], [0.3, 0.0, 0.9]])
     plan = DcmPlan(OMEGA, [0.2, 0.6, 0.2, 1.0], knots, np.array([0.05, 0.0, 0.9]))
@@ -95,13 +77,15 @@ def test_a_plan_on_hold_lets_the_dcm_go_on_from_where_the_vrp_rests() -> None:
         np.testing.assert_allclose(held, knots[2], atol=1e-12)
 
 
-@pytest.fixture
-def swing() -> SwingTrajectory:
-    target = SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3))
-    return SwingTrajectory(FEET[0], target, height=0.06, duration=0.6, depth=0.003, descent=0.05)
+def swing_to(height: float, **changes: float) -> SwingTrajectory:
+    """A swing of the left foot to a place so high [m], with a turn."""
+    target = SolePose(np.array([0.4, 0.12, height]), rotation.yaw_matrix(0.3))
+    values = {"height": 0.06, "duration": 0.6, "depth": 0.003, "descent": 0.05} | changes
+    return SwingTrajectory(FEET[0], target, **values)
 
 
-def test_a_swing_leaves_at_rest_and_comes_down_over_its_apex(swing: SwingTrajectory) -> None:
+def test_a_swing_leaves_at_rest_and_comes_down_over_its_apex() -> None:
+    swing = swing_to(0.05)
     begin, middle, end = swing.at(0.0), swing.at(0.3), swing.at(0.6 - 1e-9)
     np.testing.assert_allclose(begin.position, FEET[0].position)
     np.testing.assert_allclose(end.position, [0.4, 0.12, 0.047], atol=1e-6)
@@ -115,10 +99,7 @@ def test_a_swing_leaves_at_rest_and_comes_down_over_its_apex(swing: SwingTraject
 
 
 def test_a_late_foot_comes_down_quicker_and_goes_along() -> None:
-    swing = SwingTrajectory(
-        FEET[0], SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3)),
-        height=0.06, duration=0.6, depth=0.003, descent=0.2, late_descent=0.4,
-    )  # fmt: skip
+    swing = swing_to(0.05, descent=0.2, late_descent=0.4)
     before = swing.at(0.62)
     swing.follow(0.62, np.array([0.45, 0.2, 0.0]))
     np.testing.assert_allclose(swing.at(0.62).position, before.position, atol=1e-12)
@@ -132,26 +113,9 @@ def test_a_late_foot_comes_down_quicker_and_goes_along() -> None:
     np.testing.assert_allclose(there.rotation, before.rotation, atol=1e-9)
 
 
-@given(st.floats(0.01, 0.59))
-def test_a_swing_has_the_derivatives_it_claims(time: float) -> None:
-    swing = SwingTrajectory(
-        FEET[0],
-        SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3)),
-        height=0.06, duration=0.6, depth=0.003, descent=0.05,
-    )  # fmt: skip
-    if abs(time - 0.3) < 2 * DT:
-        return  # the halves of the height meet with different jerk
-    before, here, after = swing.at(time - DT), swing.at(time), swing.at(time + DT)
-    np.testing.assert_allclose((after.position - before.position) / (2 * DT), here.velocity[:3], atol=1e-4)
-    np.testing.assert_allclose((after.velocity - before.velocity) / (2 * DT), here.acceleration, atol=1e-2)
-    turned = rotation.rotation_vector(after.rotation @ before.rotation.T) / (2 * DT)
-    np.testing.assert_allclose(turned, here.velocity[3:], atol=1e-4)
-
-
 def climbing() -> SwingTrajectory:
-    """A swing up a step of 12 cm, with a turn: it peels off, turned by 0.48 rad at most."""
-    target = SolePose(np.array([0.4, 0.12, 0.12]), rotation.yaw_matrix(0.3))
-    return SwingTrajectory(FEET[0], target, height=0.06, duration=0.6, depth=0.003, descent=0.05, toe=0.15)
+    """A swing up a step of 12 cm: it peels off, turned by 0.48 rad at most."""
+    return swing_to(0.12, toe=0.15)
 
 
 def toe_of(point: SwingPoint) -> np.ndarray:
@@ -161,11 +125,7 @@ def toe_of(point: SwingPoint) -> np.ndarray:
 
 
 def test_a_foot_that_goes_up_peels_off_over_its_toe() -> None:
-    swing = climbing()
-    flat = SwingTrajectory(
-        FEET[0], SolePose(np.array([0.4, 0.12, 0.12]), rotation.yaw_matrix(0.3)),
-        height=0.06, duration=0.6, depth=0.003, descent=0.05,
-    )  # fmt: skip
+    swing, flat = climbing(), swing_to(0.12)
     for time in np.linspace(0.0, 0.7, 36):
         here, there = swing.at(time), flat.at(time)
         assert here.rotation[2, 0] <= 1e-9  # toes never up
@@ -204,10 +164,7 @@ def test_a_peeling_swing_has_the_derivatives_it_claims_and_is_retargeted_without
 def test_a_retargeted_swing_goes_on_without_a_jump(
     time: float, left: float, x: float, y: float, yaw: float, z: float
 ) -> None:
-    swing = SwingTrajectory(
-        FEET[0], SolePose(np.array([0.4, 0.12, 0.0]), rotation.yaw_matrix(0.3)),
-        height=0.06, duration=0.6, depth=0.003, descent=0.05,
-    )  # fmt: skip
+    swing = swing_to(0.0)
     for _ in range(2):  # the second one begins from a swing that is none from rest
         before = swing.at(time)
         swing.retarget(time, level_pose(x, y, z, yaw), time + left)
@@ -221,43 +178,6 @@ def test_a_retargeted_swing_goes_on_without_a_jump(
         np.testing.assert_allclose(end.rotation, rotation.yaw_matrix(yaw), atol=1e-6)
         np.testing.assert_allclose(end.velocity, [0.0, 0.0, -0.05, 0.0, 0.0, 0.0], atol=1e-4)
         time, left, x = time + 0.4 * left, 0.5 * left, x - 0.1
-
-
-@given(st.floats(0.05, 0.55))
-def test_a_retarget_to_the_same_target_changes_nothing(time: float) -> None:
-    if abs(time - 0.3) < 0.02:
-        return  # so close to the apex the rest of the rise is left out
-    target = SolePose(np.array([0.4, 0.12, 0.05]), rotation.yaw_matrix(0.3))
-    first, second = (
-        SwingTrajectory(FEET[0], target, height=0.06, duration=0.6, depth=0.003, descent=0.05) for _ in range(2)
-    )
-    if 0.0 < 0.3 - time < SHORTEST_RISE:
-        return  # so near to the apex it goes down at once
-    second.retarget(time, target, 0.6)
-    for t in np.linspace(time, 0.7, 20):
-        np.testing.assert_allclose(second.at(t).position, first.at(t).position, atol=1e-9)
-        np.testing.assert_allclose(second.at(t).velocity, first.at(t).velocity, atol=1e-7)
-
-
-def test_reach_is_told_by_step_quantity_and_limit(robot: RobotDescription) -> None:
-    limits = robot.tables.footsteps
-    assert limits is not None
-
-    def refusal(foot: int, x: float, y: float, z: float = 0.0, yaw: float = 0.0, heading: float = 0.0) -> str:
-        """Of a step seen from the other foot's sole, which stands somewhere, turned by ``heading``."""
-        c, s = cos(heading), sin(heading)
-        sole = level_pose(3.0 + c * x - s * y, -2.0 + s * x + c * y, 0.5 + z, heading + yaw)
-        step = Step(7, foot, sole, 0.06, 0.6, 0.2)
-        return StepRule(limits, robot.tables.feet).reach(step, level_pose(3.0, -2.0, 0.5, heading))
-
-    for heading in (0.0, 1.0, -3.0):
-        assert not refusal(LEFT, 0.3, 0.2, heading=heading)
-        assert not refusal(RIGHT, -0.2, -0.2, 0.1, -0.3, heading)
-        assert refusal(LEFT, 0.8, 0.2, heading=heading).startswith("step 7 (left): forward of the other foot 0.8 m")
-    assert "width" in refusal(LEFT, 0.0, -0.2)  # crossed
-    assert "width" in refusal(RIGHT, 0.0, -0.7)
-    assert "height" in refusal(LEFT, 0.0, 0.2, 0.3)
-    assert "turned" in refusal(LEFT, 0.0, 0.2, 0.0, 0.7)
 
 
 def follow(source: VelocitySteps, command: tuple[float, float, float], count: int) -> list[Step]:
@@ -298,42 +218,3 @@ def test_steps_on_line_go_at_the_velocity(robot: RobotDescription, command: tupl
     way = taken[-1].sole.position - taken[-11].sole.position  # ten steps, of the same foot
     duration = sum(step.swing_duration + step.transfer_duration for step in taken[-10:])
     np.testing.assert_allclose(way[:2] / duration, command[:2], atol=1e-9)
-
-
-def test_without_a_command_the_feet_come_together_and_stand(robot: RobotDescription) -> None:
-    table = robot.tables.walking
-    source = VelocitySteps(table)
-    assert not source.upcoming(FEET)  # nothing wanted: stand
-    soles, taken = list(FEET), []
-    source.command(np.array([0.4, 0.0, 0.0]), 0.0)
-    for i in range(40):
-        source.advance(0.1 * i)  # and nobody commands again
-        if not (steps := source.upcoming(soles)):
-            break
-        source.began(steps[0])
-        soles[steps[0].foot] = steps[0].sole
-        taken.append(steps[0])
-    assert 3 < len(taken) < 39
-    assert soles[0].position[0] == pytest.approx(soles[1].position[0], abs=1e-6)
-    assert np.linalg.norm(soles[0].position - soles[1].position) == pytest.approx(table.step_width)
-
-
-def test_a_queue_tells_what_becomes_of_its_steps() -> None:
-    steps = [Step(i, i % 2, FEET[i % 2], 0.06, 0.6, 0.2) for i in range(4)]
-    queue = StepQueue()
-    queue.begin(steps)
-    assert queue.state == "executing"
-    for i in range(2):
-        queue.began(queue.upcoming(FEET)[0])
-        assert queue.executing is steps[i]
-        queue.ended(steps[i])
-        assert queue.last_performed == i
-    queue.stop("enough")
-    assert not queue.upcoming(FEET)
-    queue.rested()
-    assert (queue.state, queue.reason) == ("finished", "enough")
-    assert queue.take_finished()
-    assert not queue.take_finished()
-    queue.begin(steps)
-    queue.fail("fallen")
-    assert (queue.state, queue.steps, queue.executing) == ("failed", [], None)

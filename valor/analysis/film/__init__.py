@@ -1,1 +1,1 @@
-"""Films of a robot: what a bag says, drawn picture by picture."""
+"""Films of a robot from a bag."""

@@ -1,4 +1,4 @@
-"""A bag's film: read, planned, drawn, written."""
+"""Film of a bag: read, plan, draw, write."""
 
 from __future__ import annotations
 
@@ -7,57 +7,42 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from valor.analysis.film import files, frames, moments, studio
-from valor.analysis.film.cameras import CAMERAS
+from valor.analysis.film import frames, moments, studio
+from valor.analysis.film.frames import CAMERAS
 from valor.analysis.film.moments import Moments
 from valor.bags.errors import BagError
-from valor.bags.origin import origin_of, robot_of
+from valor.bags.stored import origin_of, robot_of
 from valor.common.errors import ConfigurationError, require_one_of
-from valor.drawing.scene import MOVING, SMALL, STILL
+from valor.drawing.scene import MOVING, SMALL
 from valor.robot.description import RobotDescription
 from valor.simulation import worlds
 
 OVERLAYS = (*frames.OVERLAYS, frames.MODES)
-_SMALL = 800  # width up to which pictures are small [pixels]
+_SMALL = 800  # maximum width of a small picture [pixels]
 SMALLEST, LARGEST = 64, 3840  # a side of the picture [pixels]
 
 
 @dataclass(frozen=True)
-class Order:
-    """What film is wanted.
+class FilmOptions:
+    """Options of a film. The constructor raises ``ConfigurationError`` if a value is invalid."""
 
-    Attributes:
-        begin, end: of it, after the recording's beginning [s]; an end of None is the recording's.
-        camera: one of ``CAMERAS``.
-        speed: recording's time in a second of the film's.
-        overlays: some of ``OVERLAYS``.
-        size: width and height [pixels]; None: as the kind of file has it, 16 : 9.
-        rate: pictures a second; None: as the kind of file has it.
-        robot: its folder; None: as the recording says.
-        fine: every picture drawn as if it were to stand still.
-
-    Raises:
-        ConfigurationError: by the constructor: something in it cannot be; names it, and what is expected.
-    """
-
-    begin: float = 0.0
-    end: float | None = None
-    camera: str = "follow"
-    speed: float = 1.0
-    overlays: Collection[str] = ()
-    size: tuple[int, int] | None = None
-    rate: float | None = None
-    robot: Path | None = None
-    fine: bool = False
+    begin: float = 0.0  # since the start of the recording [s]
+    end: float | None = None  # since then [s]; None: the end of the recording
+    camera: str = "follow"  # one of ``CAMERAS``
+    speed: float = 1.0  # recorded time per time of the film
+    overlays: Collection[str] = ()  # some of ``OVERLAYS``
+    size: tuple[int, int] | None = None  # width and height [pixels]; None: default of the file type
+    rate: float | None = None  # [pictures/s]; None: default of the file type
+    robot: Path | None = None  # its folder; None: that of the recording
 
     def __post_init__(self) -> None:
         require_one_of("camera", self.camera, CAMERAS)
         for overlay in self.overlays:
             require_one_of("overlay", overlay, OVERLAYS)
         if self.begin < 0.0:
-            raise ConfigurationError(f"from {self.begin:g} s: expected seconds after the recording's beginning")
+            raise ConfigurationError(f"from {self.begin:g} s: expected at least 0 s after the start of the recording")
         if self.end is not None and self.end <= self.begin:
-            raise ConfigurationError(f"from {self.begin:g} to {self.end:g} s: an empty span; expected an end behind")
+            raise ConfigurationError(f"from {self.begin:g} to {self.end:g} s: expected an end after the beginning")
         if not 0.01 <= self.speed <= 100.0:
             raise ConfigurationError(f"speed {self.speed:g}: expected 0.01 to 100 times the robot's")
         if self.rate is not None and not 1.0 <= self.rate <= 120.0:
@@ -67,25 +52,13 @@ class Order:
             raise ConfigurationError(f"size {wrong}: expected even sides of {SMALLEST} to {LARGEST} pixels")
 
     def step(self, file: Path) -> float:
-        """Robot time between two pictures of a file [s].
-
-        Raises:
-            ConfigurationError: its ending is none of those known.
-        """
-        return self.speed / (self.rate or files.kind(file).rate)
-
-
-@dataclass(frozen=True)
-class Subject:
-    """Whom a film shows, and where: the robot's folder; name and seed of the world."""
-
-    robot: Path
-    world: tuple[str, int]
+        """Robot time between two pictures of a file [s]. Raises ``ConfigurationError``: the suffix is unknown."""
+        return self.speed / (self.rate or studio.kind(file).rate)
 
 
 @dataclass(frozen=True)
 class Film:
-    """What was made: ``pictures`` in ``duration`` [s], its robot placed by ``base``, ``notices`` of the bag."""
+    """Result: ``pictures`` in ``duration`` [s], source of the base pose, ``notices`` of the bag."""
 
     file: Path
     pictures: int
@@ -97,57 +70,51 @@ class Film:
 def make(
     bag: Path,
     file: Path,
-    order: Order,
+    options: FilmOptions,
     read: Callable[[float], None] = lambda seconds: None,
-    drawn: Callable[[int, int], None] = lambda pictures, whole: None,
+    drawn: Callable[[int, int], None] = lambda pictures, total: None,
 ) -> Film:
-    """Make a film of a recording.
+    """Make a film of a recording; the suffix of ``file`` determines the type.
 
-    Args:
-        bag: the recording.
-        file: where the film goes; its ending says of which kind it is.
-        order: what is wanted.
-        read: called with how far the recording has been read [s]; may raise.
-        drawn: called with how many pictures are done, and of how many; may raise. Nothing is left then.
-
-    Returns:
-        What was made.
+    ``read`` is called with the recorded time read [s], ``drawn`` with the numbers of pictures drawn and of all; both
+    may raise; no file is left then.
 
     Raises:
-        BagError: the bag is none, lacks what is needed, or ends before the film begins.
-        ConfigurationError: ending, robot or world are not known.
-        RenderingError: there is no off-screen OpenGL here.
+        BagError: there is no bag, it lacks a topic, or it ends before the film begins.
+        ConfigurationError: suffix, robot or world is unknown.
+        RenderingError: off-screen OpenGL is not available.
         ValorError: the file cannot be written.
     """
     origin = origin_of(bag)
     world = origin.get("world", "flat"), int(origin.get("seed", "0"))
-    subject = Subject(order.robot or robot_of(bag, origin), world)
-    found = moments.read(bag, order.begin, order.end, order.step(file), read)
+    robot = options.robot or robot_of(bag, origin)
     try:
-        return develop(found, subject, file, order, drawn)
+        found = moments.read(bag, options.begin, options.end, options.step(file), read)
+        return develop(found, robot, world, file, options, drawn=drawn)
     except BagError as error:
-        raise BagError(f"{bag}: {error}") from None
+        text = str(error)
+        raise BagError(text if text.startswith(str(bag)) else f"{bag}: {text}") from None
 
 
 def develop(
     found: Moments,
-    subject: Subject,
+    robot: Path,
+    world: tuple[str, int],
     file: Path,
-    order: Order,
-    drawn: Callable[[int, int], None] = lambda pictures, whole: None,
+    options: FilmOptions,
+    *,
+    drawn: Callable[[int, int], None] = lambda pictures, total: None,
 ) -> Film:
-    """Make a film of moments that are ``order.step`` apart; arguments and errors as of ``make``."""
-    kind = files.kind(file)
-    worlds.check(subject.world[0])
-    story = frames.plan(RobotDescription.load(subject.robot), found, CAMERAS[order.camera], order.overlays)
-    size = order.size or kind.size
-    quality = STILL if order.fine else SMALL if size[0] <= _SMALL else MOVING
-    stage = studio.Set(
-        subject.robot, subject.world, size, quality,
-        found.first if frames.MODES in order.overlays else None, order.speed,
-    )  # fmt: skip
-    whole = len(story.frames)
-    rate = order.rate or kind.rate
+    """Make a film of moments ``options.step`` apart, in a world by name and seed; the rest as in ``make``."""
+    kind = studio.kind(file)
+    require_one_of("world", world[0], worlds.WORLDS)
+    story = frames.plan(RobotDescription.load(robot), found, CAMERAS[options.camera], options.overlays)
+    size = options.size or kind.size
+    quality = SMALL if size[0] <= _SMALL else MOVING
+    origin = found.first if frames.MODES in options.overlays else None
+    stage = studio.Stage(robot, world, size, quality, origin, options.speed)
+    total = len(story.frames)
+    rate = options.rate or kind.rate
     with closing(studio.draw(stage, story.frames)) as pictures:
-        files.write(file, pictures, rate, lambda done: drawn(done, whole))
-    return Film(file, whole, whole / rate, story.base, found.notices)
+        studio.write(file, pictures, rate, lambda done: drawn(done, total))
+    return Film(file, total, total / rate, story.base, found.notices)

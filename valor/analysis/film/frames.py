@@ -1,4 +1,4 @@
-"""A film before it is drawn: for each picture the robot's posture, the camera, and what is shown about the robot."""
+"""Storyboard of a film: posture, camera and marks of each picture."""
 
 from __future__ import annotations
 
@@ -9,21 +9,75 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from valor.analysis.film.cameras import Camera, View, views
 from valor.analysis.film.moments import JOINTS, ODOMETRY, STATE, TRUTH, Moment, Moments
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.poses import Pose
 from valor.common.rotation import heading, quaternion
-from valor.drawing import marks
+from valor.drawing import Posture, marks
 from valor.drawing.marks import Mark
-from valor.drawing.posture import Posture
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 
-TRUE, BELIEVED, STANDING = "the simulator's truth", "the robot's estimate", "a base that stands still"
-_ESCHER = 80.0 * 9.81  # of which a force's arrow is as long as ``METRES_A_NEWTON`` says [N]
+TRUE, BELIEVED, STANDING = "the simulator's truth", "the robot's estimate", "a fixed base"
+_ESCHER = 80.0 * 9.81  # weight for which ``METRES_A_NEWTON`` is the scale of arrows [N]
+_CALM = 0.5  # standard deviation of the smoothing of a following camera [s]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Position relative to the robot at the start of the film."""
+
+    azimuth: float  # direction of view from the robot's heading, anticlockwise [degrees]
+    elevation: float  # direction of view, up [degrees]
+    distance: float = 1.5  # to the point of view, in heights of the robot
+    height: float = 0.5  # of that point over the soles, in heights of the robot
+    follows: bool = True  # whether that point moves with the robot; else it stays in the middle of the path
+
+
+# fmt: off
+CAMERAS = {
+    "follow":   Camera(148.0, -10.0),
+    "front":    Camera(180.0, -6.0),
+    "back":     Camera(0.0, -12.0),
+    "left":     Camera(-90.0, -6.0),
+    "right":    Camera(90.0, -6.0),
+    "above":    Camera(0.0, -89.0, 2.2),
+    "feet":     Camera(125.0, -14.0, 0.75, 0.12),
+    "hands":    Camera(140.0, -14.0, 1.05, 0.66),
+    "shoulder": Camera(42.0, -14.0, 1.15, 0.62),
+    "fixed":    Camera(125.0, -12.0, 1.75, 0.4, follows=False),
+}
+# fmt: on
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera for one picture, in world."""
+
+    point: FloatArray  # (3,) point of view [m]
+    azimuth: float  # [degrees]
+    elevation: float  # [degrees]
+    distance: float  # [m]
+
+
+def views(camera: Camera, positions: FloatArray, heading: float, size: float, step: float) -> list[View]:
+    """Compute the camera of every picture, ``step`` apart [s].
+
+    ``positions`` (n, 3) are of the robot's middle, at the height of the soles, in world [m]; ``heading`` [rad] is at
+    the start; ``size`` is the robot's height [m].
+    """
+    way = 0.0
+    if camera.follows:
+        points = gaussian_filter1d(positions, _CALM / step, axis=0, mode="nearest")
+    else:
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        points, way = np.broadcast_to((low + high) / 2.0, positions.shape), float(np.linalg.norm((high - low)[:2]))
+    up = np.array([0.0, 0.0, camera.height * size])
+    azimuth = camera.azimuth + float(np.rad2deg(heading))
+    return [View(point + up, azimuth, camera.elevation, camera.distance * size + 0.6 * way) for point in points]
 
 
 @dataclass(frozen=True)
@@ -37,17 +91,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class Storyboard:
-    """All of them.
-
-    Attributes:
-        frames: in their order, ``step`` apart.
-        base: by whose word the robot is where it is drawn.
-        begin: of the first, after the recording's beginning [s].
-    """
+    """All frames in order, and the source of the base pose."""
 
     frames: list[Frame]
     base: str
-    begin: float
 
 
 def _forces(body: _Body, moment: Moment, soles: Sequence[Pose], _over: Pose) -> list[Mark]:
@@ -59,7 +106,7 @@ def _forces(body: _Body, moment: Moment, soles: Sequence[Pose], _over: Pose) -> 
 
 
 def _dcm(body: _Body, moment: Moment, soles: Sequence[Pose], over: Pose) -> list[Mark]:
-    """Of what is estimated, over where the robot is drawn."""
+    """Estimated CoM, DCM and CoP, relative to the drawn robot."""
     if STATE not in moment:
         return []
     state = moment[STATE]
@@ -77,13 +124,11 @@ def _dcm(body: _Body, moment: Moment, soles: Sequence[Pose], over: Pose) -> list
 
 
 OVERLAYS: dict[str, Callable[[_Body, Moment, Sequence[Pose], Pose], list[Mark]]] = {"forces": _forces, "dcm": _dcm}
-"""What is drawn about the robot; ``MODES`` is written into the picture."""
+"""Marks drawn around the robot; ``MODES`` is a caption."""
 MODES = "modes"
 
 
 class _Body:
-    """The robot's own geometry."""
-
     def __init__(self, robot: RobotDescription) -> None:
         self.robot = robot
         self._model = full_model(robot, "all")
@@ -97,7 +142,7 @@ class _Body:
         self._feet = [self._model.site(foot.sole) for foot in (robot.tables.feet.left, robot.tables.feet.right)]
 
     def soles(self, posture: Posture) -> tuple[Pose, Pose]:
-        """Left and right in world."""
+        """Poses of the left and right sole in world."""
         data, model = self._data, self._model
         data.qpos[:3], data.qpos[3:7] = posture.pelvis_position, posture.pelvis_orientation
         data.qpos[model.qpos] = posture.joint_position[model.joint_indices]
@@ -113,17 +158,7 @@ class _Body:
 
 
 def plan(robot: RobotDescription, moments: Moments, camera: Camera, overlays: Collection[str]) -> Storyboard:
-    """Make the storyboard.
-
-    Args:
-        robot: whose recording it is.
-        moments: of the recording.
-        camera: how it is seen.
-        overlays: some of ``OVERLAYS``.
-
-    Raises:
-        BagError: the recording is of a robot with other joints.
-    """
+    """Make the storyboard. Raises ``BagError``: the recording is of a robot with other joints."""
     body = _Body(robot)
     base = next((word for topic, word in _BASES.items() if topic in moments.known[0]), STANDING)
     postures = [_posture(robot, time, moment) for time, moment in zip(moments.times, moments.known, strict=True)]
@@ -137,7 +172,7 @@ def plan(robot: RobotDescription, moments: Moments, camera: Camera, overlays: Co
         over = _world_over_odom(posture, moment)
         drawn = [mark for name in OVERLAYS if name in overlays for mark in OVERLAYS[name](body, moment, pair, over)]
         frames.append(Frame(posture, view, drawn))
-    return Storyboard(frames, base, moments.times[0] - moments.first)
+    return Storyboard(frames, base)
 
 
 _BASES = {TRUTH: TRUE, STATE: BELIEVED, ODOMETRY: BELIEVED}
@@ -153,7 +188,7 @@ def _posture(robot: RobotDescription, time: float, moment: Moment) -> Posture:
     elif ODOMETRY in moment:
         p, q = moment[ODOMETRY].pose.pose.position, moment[ODOMETRY].pose.pose.orientation
         position, orientation = np.array([p.x, p.y, p.z]), np.array([q.w, q.x, q.y, q.z])
-    fixtures = getattr(moment.get(TRUTH), "fixture_position", ())  # recordings may be older than it
+    fixtures = getattr(moment.get(TRUTH), "fixture_position", ())  # absent in older recordings
     behavior = str(moment[STATE].behavior) if STATE in moment else ""
     joints = _joints(robot, moment)
     return Posture(time, behavior, np.array(position), np.array(orientation), joints, np.array(fixtures, dtype=float))
@@ -164,7 +199,7 @@ def _believed(moment: Moment) -> tuple[FloatArray, FloatArray]:
 
 
 def _joints(robot: RobotDescription, moment: Moment) -> FloatArray:
-    """(n,) [rad]; those that nobody measures stand where they nominally do."""
+    """(n,) measured positions [rad]; nominal ones where there is no measurement."""
     if JOINTS[0] in moment:
         measured = np.array(moment[JOINTS[0]].joint_position, dtype=np.float64)
         if measured.shape != (len(robot.joints),):
@@ -180,7 +215,7 @@ def _joints(robot: RobotDescription, moment: Moment) -> FloatArray:
 
 
 def _world_over_odom(posture: Posture, moment: Moment) -> Pose:
-    """Where odom is, if the robot is where it is drawn: what it believes of itself is drawn about itself."""
+    """Pose of odom in world under which the estimated pose of the robot is the drawn one."""
     if STATE not in moment:
         return Pose()
     drawn, believed = (

@@ -1,64 +1,50 @@
-"""What a bag says at moments that are evenly apart, read in one pass that keeps nothing else."""
+"""Messages of a bag at equidistant moments, read in one pass without storing others."""
 
 from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from valor.analysis.recording import recorded
-from valor.analysis.ros_types import Types
+from valor.analysis.reading.recording import recorded
+from valor.analysis.reading.ros_types import Types
 from valor.bags.errors import BagError
-from valor.bags.stored import StoredBag, StoredMessage, StoredTopic
+from valor.bags.stored import StoredBag, StoredMessage
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 
 JOINTS = (recorded(PROPRIOCEPTOR), "/joint_states")
 STATE, TRUTH, ODOMETRY = recorded(MOTION_STATE), recorded(GROUND_TRUTH), "/odom"
 TOPICS = (*JOINTS, STATE, TRUTH, ODOMETRY)
-_TWINS = {JOINTS[0], STATE, TRUTH}  # of Bifrost's messages; the others are ROS 2's own
-_ENCODING, _STAMPED = 4, 12  # bytes that say how a message is encoded; of its stamp, and of its frame's length
-_AFTER = 2.0  # of the last moment, other topics may still say something of it [s]
-_TELL = 2000  # messages between two words of how it goes on
+_MIRRORED = {JOINTS[0], STATE, TRUTH}  # of Bifrost's messages; the others are ROS 2's own
+_ENCODING, _STAMPED = 4, 12  # bytes of the encoding header; of the stamp and the length of the frame's name
+_AFTER = 2.0  # maximum delay of other topics after the last moment [s]
+_TELL = 2000  # messages between two reports of progress
 
-Moment = dict[str, Any]  # topic → the newest message of it
+Moment = dict[str, Any]  # topic → its latest message
 
 
 @dataclass(frozen=True)
 class Moments:
-    """What was found.
+    """Moments of a recording."""
 
-    Attributes:
-        times: robot times, one a moment [s].
-        known: of each moment the newest message of every topic that says anything.
-        first: robot time at which the recording begins [s].
-        notices: what is wrong with the bag, as far as it was read.
-    """
-
-    times: list[float]
-    known: list[Moment]
-    first: float
-    notices: list[str]
+    times: list[float]  # robot times [s]
+    known: list[Moment]  # latest messages at each moment
+    first: float  # robot time at the start of the recording [s]
+    notices: list[str]  # damage of the part of the bag that was read
 
 
 def read(path: Path, begin: float, end: float | None, step: float, check: Callable[[float], None]) -> Moments:
-    """Read a bag.
+    """Read a bag's moments from ``begin`` to ``end``, since the start of the recording [s]; None: its end.
 
-    Args:
-        path: a bag.
-        begin: of the moments, after the recording's beginning [s].
-        end: likewise; None: the recording's end.
-        step: between moments [s].
-        check: called now and then with how far it has been read [s]; may raise.
-
-    Raises:
-        BagError: no bag; no joints in it; it is shorter than ``begin``.
+    ``check`` is called occasionally with the recorded time read [s], and may raise. Raises BagError: there is no bag,
+    it has no joints, or it is shorter than ``begin``.
     """
     bag = StoredBag(path)
-    samplers: dict[str, Sampler] = {}
+    samplers: dict[str, _Sampler] = {}
     types = Types()
     first = newest = -1.0
     for number, message in enumerate(bag.messages()):
@@ -72,11 +58,9 @@ def read(path: Path, begin: float, end: float | None, step: float, check: Callab
                 break
         if first < 0.0:
             continue
-        sampler = samplers.get(name)
-        if sampler is None:
-            decode = partial(_decode, types, message.topic, path)
-            sampler = samplers[name] = Sampler(first + begin, step, decode)
-        sampler.hear(time, message.data)
+        if name not in samplers:
+            samplers[name] = _Sampler(first + begin, step, partial(types.decode, message.topic))
+        samplers[name].add(time, message.data)
         if number % _TELL == 0:
             check(newest - first)
     if first < 0.0:
@@ -84,65 +68,43 @@ def read(path: Path, begin: float, end: float | None, step: float, check: Callab
     until = newest if end is None else min(newest, first + end)
     if until < first + begin:
         raise BagError(f"{path}: nothing after {begin:g} s; the recording lasts {newest - first:.1f} s")
-    found = gather(samplers, first, begin, until, step)
-    return replace(found, notices=bag.condition.damage)
-
-
-def gather(samplers: Mapping[str, Sampler], first: float, begin: float, until: float, step: float) -> Moments:
-    """What samplers found by topic, from ``first + begin`` until a robot time [s]."""
     count = int((until - first - begin) / step + 1e-9) + 1
     known: list[Moment] = [{} for _ in range(count)]
     for name, sampler in samplers.items():
         for moment, found in zip(known, sampler.until(count), strict=True):
             moment[name] = found
-    return Moments([first + begin + step * i for i in range(count)], known, first, [])
+    return Moments([first + begin + step * i for i in range(count)], known, first, bag.condition.damage)
 
 
-def _decode(types: Types, topic: StoredTopic, path: Path, data: bytes) -> Any:
-    try:
-        return types.decode(topic, data)
-    except BagError as error:
-        raise BagError(f"{path}: {error}") from None
+class _Sampler:
+    """Latest message of a topic at each of many moments, ``step`` [s] apart from robot time ``begin`` [s]."""
 
-
-class Sampler:
-    """The newest message of a topic at each of many moments, decoded once.
-
-    Args:
-        begin: of the moments, robot time [s].
-        step: between them [s].
-        decode: of what is heard, the message.
-    """
-
-    def __init__(self, begin: float, step: float, decode: Callable[[Any], Any] = lambda message: message) -> None:
+    def __init__(self, begin: float, step: float, decode: Callable[[bytes], Any]) -> None:
         self._begin, self._step, self._decode = begin, step, decode
-        self._last: Any = None
+        self._last = b""
         self._found: list[Any] = []
 
-    def hear(self, time: float, message: Any) -> None:
-        """A message of a robot time [s]; of what was before it nothing newer will come."""
+    def add(self, time: float, message: bytes) -> None:
+        """Add a message of a robot time [s], in order of time."""
         missing = math.ceil((time - self._begin) / self._step - 1e-9) - len(self._found)
         if missing > 0:
-            self._found += [self._decode(message if self._last is None else self._last)] * missing
+            self._found += [self._decode(self._last or message)] * missing
         self._last = message
 
     def until(self, count: int) -> list[Any]:
-        """Of so many moments; the last message stands for those behind it."""
+        """Messages at the first ``count`` moments; the last message stands for those after it."""
         missing = count - len(self._found)
         return self._found[:count] + ([self._decode(self._last)] * missing if missing > 0 else [])
 
 
 def _time(message: StoredMessage) -> float:
-    """Robot time of a message [s], without decoding the rest of it.
-
-    The header's stamp; in the twins of Bifrost's messages, whose stamp is the wall's, the second number behind it.
-    """
+    """Robot time of a message [s]: its header's stamp, or in mirrored Bifrost messages the second number after it."""
     data = message.data
     order = "<" if len(data) > 1 and data[1] & 1 else ">"
     try:
         seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", data, _ENCODING)
-        if message.topic.name in _TWINS:
-            behind = -(-(_STAMPED + length) // 8) * 8  # numbers of eight bytes stand at multiples of eight
+        if message.topic.name in _MIRRORED:
+            behind = -(-(_STAMPED + length) // 8) * 8  # numbers of eight bytes are aligned to eight
             nanoseconds, seconds = struct.unpack_from(f"{order}q", data, _ENCODING + behind + 8)[0], 0
     except struct.error:
         raise BagError(f"{message.topic.name}: not {message.topic.type}: too short") from None

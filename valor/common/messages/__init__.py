@@ -1,9 +1,8 @@
 """The types of the Bifrost topics (units in brackets, frames in names).
 
-Vectors over joints have one entry a joint, in the order of ``RobotDescription.joints``. Quaternions are (w, x, y, z).
-``time`` is robot time [ns]: the stamp of the Proprioceptor that a message belongs to, simulated time in simulation.
-Wrenches are (fx, fy, fz, tx, ty, tz) [N, N·m]: what the world does to the robot, at the named frame's origin and in
-its axes.
+Vectors over joints are in the order of ``RobotDescription.joints``; quaternions are (w, x, y, z). ``time`` is robot
+time [ns] of the Proprioceptor that a message belongs to. Wrenches (fx, fy, fz, tx, ty, tz) [N, N·m] act from the world
+on the robot, at the named frame's origin and in its axes.
 """
 
 from valor.common.messages.hardware import *

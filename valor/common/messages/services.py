@@ -1,4 +1,4 @@
-"""What the other services say: the Valor ROS Controller, the recorder, and every one of itself."""
+"""Messages of the Valor ROS Controller and the recorder, and statistics of all services."""
 
 from __future__ import annotations
 
@@ -25,74 +25,57 @@ class ModeStatus(IntFlag):
 
 
 class ControlModeReport(Message):
-    """The VRC's control mode and how it came to it (the Bifrost twin of /flor/controller/mode)."""
+    """The VRC's control mode and its cause (the Bifrost counterpart of /flor/controller/mode)."""
 
     time: int
     requested_control_mode: str
     current_control_mode: str
     status: int  # ModeStatus: flags of vigir_humanoid_control_msgs/ControlModeStatus
-    behavior: str  # of the Motion System, as last reported; empty: not heard
+    behavior: str  # last reported by the Motion System; empty: none yet
 
 
 class SnapRequest(Message):
-    """Save the last seconds, of a recorder that holds them."""
+    """Request to save the last seconds that the recorder holds."""
 
 
 class SnapReply(Message):
-    """The bag in which they are, or why not."""
+    """The bag with them, or the reason of a rejection."""
 
     accepted: bool
     path: str
     messages: int
-    seconds: float  # from the first message's coming to the last's [s]
+    seconds: float  # from receipt of the first message to the last [s]
     reason: str
 
 
 class Statistics(Message):
-    """How a service fares: its own word, once a second and at every change of state."""
+    """Self-reported status of a service, once a second and at every change of state."""
 
     service: str
     pid: int
     state: str  # starting, ready, degraded, stopping
-    detail: str  # what it waits for while starting; what it cannot do while degraded
+    detail: str  # what it waits for while starting; reason while degraded
     cycles: int  # of its main loop since start
-    cycle_time_mean: float  # spent working a cycle, over the last second [s]
+    cycle_time_mean: float  # working time per cycle, over the last second [s]
     cycle_time_max: float
     period_mean: float  # between cycles, over the last second [s]
     period_max: float
     overruns: int  # cycles that took longer than the control period, since start
     cpu_percent: float  # of one core, over the last second
     memory_mib: float
-    drops: int  # messages its queues dropped, since start
-    rejected: int  # inputs it refused, since start
+    drops: int  # messages dropped by its queues since start
+    rejected: int  # inputs rejected since start
 
 
 class MarkRequest(Message):
-    """Note something at this moment of the recording."""
+    """Request for a mark at this moment of the recording."""
 
-    text: str  # for people; a line
+    text: str  # human-readable, one line
 
 
 class MarkReply(Message):
-    """Whether it stands there, or why not."""
+    """Confirmation of the mark, or the reason of a rejection."""
 
     accepted: bool
     stamp: int  # of the recorder's wall clock [ns]
     reason: str
-
-
-class BeyondRequest(Message):
-    """Have the robot's side of the link do a verb of valorctl; or ask how one fares."""
-
-    words: list[str]  # the verb and its arguments; none: how does ``number`` fare
-    number: int
-
-
-class BeyondReply(Message):
-    """How a verb fares on the robot's side of the link."""
-
-    number: int  # by which it is asked for
-    state: str  # on its way, begun, ended, lost
-    status: int  # its exit status, once it has ended
-    said: str  # by it; or why nobody knows what becomes of it
-    silent: float  # how long nothing of the robot's end has come [s]

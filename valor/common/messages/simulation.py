@@ -1,4 +1,4 @@
-"""The simulated robot, and the devices' emulators."""
+"""Messages of the simulated robot and the device emulators."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from bifrost import Float64Array, Message, Uint8Array
 
 
 class GroundTruth(Message):
-    """The simulator's truth. For experiments and pictures: no controller may read it."""
+    """True state of the simulator, for experiments and pictures; no controller may read it."""
 
     time: int
     pelvis_position_in_world: Float64Array  # (3,) [m]
@@ -19,7 +19,7 @@ class GroundTruth(Message):
 
 
 class PushRequest(Message):
-    """Push a body of the simulated robot, at its centre of mass."""
+    """Request to push a body of the simulated robot at its centre of mass."""
 
     impulse_in_world: Float64Array  # (3,) [N·s]
     duration: float  # [s]
@@ -27,7 +27,7 @@ class PushRequest(Message):
 
 
 class PushReply(Message):
-    """Whether the push began, and when [robot time, ns]."""
+    """Acceptance of the push, and its start [robot time, ns]."""
 
     accepted: bool
     time: int
@@ -35,14 +35,14 @@ class PushReply(Message):
 
 
 class TimeRequest(Message):
-    """Let the simulated robot's time pass otherwise."""
+    """Request to pause, step or scale the simulation's time."""
 
-    wanted: str  # pause, resume, step, factor; empty: nothing, how does it pass?
-    value: float  # step: so many control periods, then it is paused; factor: of the wall's time, 0: as fast as it goes
+    wanted: str  # pause, resume, step, factor; empty: query only
+    value: float  # step: number of control periods, then pause; factor: of wall time, 0: as fast as possible
 
 
 class TimeReply(Message):
-    """How it passes now."""
+    """Present progress of the simulation's time."""
 
     accepted: bool
     paused: bool
@@ -52,16 +52,16 @@ class TimeReply(Message):
 
 
 class FaultRequest(Message):
-    """Let a unit of an emulated device fail."""
+    """Request for a fault of an emulated device's unit."""
 
     device: str  # as in robot.yaml
-    unit: str  # as in DeviceStatus.units, behind the slash; the device's name where it has one unit only
-    fault: str  # silent, slow, garbage, … (device_emulators/emulator.py); empty: end all of this device
-    duration: float  # [s]; 0: for good
+    unit: str  # as in DeviceStatus.units, after the slash; the device's name if it has one unit
+    fault: str  # silent, slow, garbage, … (device_emulators/emulator.py); empty: end all faults of this device
+    duration: float  # [s]; 0: unlimited
 
 
 class FaultReply(Message):
-    """Whether the unit fails now."""
+    """Acceptance of the fault."""
 
     accepted: bool
     reason: str

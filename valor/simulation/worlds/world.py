@@ -1,9 +1,9 @@
-"""What every world is, and the materials it is made of."""
+"""Base class of worlds, the level floor, materials and common geoms."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -11,32 +11,34 @@ import numpy as np
 from valor.common.poses import Pose, level
 
 FRICTION = 0.9
-"""Of all ground."""
+"""Friction coefficient of all ground."""
 
 FLOOR, DIRT, STONE, EDGE, MARK = "floor", "dirt", "stone", "edge", "mark"
 """Materials."""
 
 
-class World(Protocol):
-    """A generator of ground."""
+class World:
+    """A generator of ground; itself a level floor at z = 0."""
 
-    def sized(self, size: float) -> World:
-        """For a robot whose legs are so many times ESCHER's: what it does not see is so many times as high."""
+    def sized(self, size: float) -> Self:
+        """Scale unseen obstacles, if any; ``size``: leg length relative to ESCHER's."""
+        return self
 
     def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
         """Add its geoms to the world body."""
+        floor(spec)
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Within which a fixture's place is random: x and y [m], and to how much of either side it is turned [rad]."""
+    """Range of a fixture's random pose: x and y [m], and yaw to either side [rad]."""
 
     x: tuple[float, float]
     y: tuple[float, float]
     yaw: float
 
     def draw(self, rng: np.random.Generator) -> Pose:
-        """A frame on the floor."""
+        """Draw a frame on the floor."""
         x, y, yaw = map(float, rng.uniform((self.x[0], self.y[0], -self.yaw), (self.x[1], self.y[1], self.yaw)))
         return level(x, y, 0.0, yaw)
 
@@ -70,14 +72,14 @@ def ground(spec: mujoco.MjSpec, **geom: Any) -> mujoco.MjsGeom:
 
 
 def decoration(spec: mujoco.MjSpec, **geom: Any) -> mujoco.MjsGeom:
-    """Add a geom that is only seen."""
+    """Add a geom without contacts."""
     return spec.worldbody.add_geom(contype=0, conaffinity=0, **geom)
 
 
 def moving(
     parent: mujoco.MjsBody, name: str, pose: Pose, axis: tuple[float, float, float], reach: float | None = None
 ) -> mujoco.MjsBody:
-    """Add a body on a hinge at its origin, of the same name, that turns from 0 to ``reach`` [rad]; None: on and on."""
+    """Add a body on a hinge at its origin, of the same name, with range 0 to ``reach`` [rad]; None: no limit."""
     body = parent.add_body(name=name, pos=pose.position, quat=pose.orientation)
     joint = body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=axis)
     if reach is not None:
@@ -86,7 +88,7 @@ def moving(
 
 
 def floor(spec: mujoco.MjSpec, height: float = 0.0) -> None:
-    """Add a level floor without end at a height [m]."""
+    """Add an infinite level floor at a height [m]."""
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     ground(spec, name="floor", type=plane, size=[0, 0, 0.05], pos=[0, 0, height], material=FLOOR)
 

@@ -1,1 +1,1 @@
-"""An instance on several computers: who they are, an agent on each, and what is done on all of them together."""
+"""An instance on several computers: OpenSSH reaches them, one supervisord runs on each."""

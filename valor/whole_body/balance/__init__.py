@@ -1,1 +1,1 @@
-"""What balance is measured by and where it leads: DCM, support polygon, references, fall."""
+"""Balance: DCM, references, commanded pelvis, fall detection."""

@@ -1,26 +1,64 @@
-"""Is the robot lost? By its tilt, its height, or a DCM that no force on the soles can bring back.
+"""Fall detection, and detection that a standing robot must step.
 
-The DCM moves away from the centre of pressure, ξ̇ = ω·(ξ − CoP), and the CoP stays within the support polygon: a DCM
-outside of it is lost without a step (capturability with zero steps, Koolen et al. 2012). That is known long before the
-robot tilts. A margin and a short time leave room for the estimate's error and for what the arms' swing can still do.
-While the robot steps the polygon is that of the foothold to come and of the foot that stays, and a DCM outside of it
-is lost when the step after that cannot reach it either (capturability with one step more): the margin is larger.
+A fall is detected by pelvis tilt, pelvis height, or a DCM that no force on the soles can bring back.
+
+The DCM moves away from the centre of pressure, ξ̇ = ω·(ξ − CoP), and the CoP stays within the support polygon, the
+convex hull of both soles' corners on the ground: a DCM outside it is lost without a step (capturability with zero
+steps, Koolen et al. 2012). This is detected long before the robot tilts. A margin and a short duration allow for the
+estimate's error and for the effect of swinging arms. While the robot steps, the polygon is that of the next foothold
+and the stance foot, and the margin is larger: the step after it can still save the robot (capturability with one step).
 """
 
 from __future__ import annotations
 
-from math import acos, degrees
+from math import acos, degrees, hypot
+
+import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
-from valor.robot.polygon import convex_hull, distance_outside
-from valor.whole_body.balance.support import corners_on_ground, inner_radius, sole_corners, surely_within
+from valor.robot.soles import Point, convex_hull, distance_outside
+from valor.robot.tables import Feet
 from valor.whole_body.state import RobotState
 from valor.whole_body.tuning_tables import Tuning
 
 
+def sole_corners(feet: Feet) -> FloatArray:
+    """Return (2, 4, 3) corners of the left and right sole, each in its sole's frame [m]."""
+    return np.array(
+        [
+            [(x, y, 0.0) for x in (foot.heel, foot.toe) for y in (foot.half_width, -foot.half_width)]
+            for foot in (feet.left, feet.right)
+        ]
+    )
+
+
+def inner_radius(feet: Feet) -> float:
+    """Return the radius of the largest circles around the soles' origins within the soles [m]."""
+    return min(min(-foot.heel, foot.toe, foot.half_width) for foot in (feet.left, feet.right))
+
+
+def surely_within(positions: FloatArray, rotations: FloatArray, radius: float, point: Point, margin: float) -> bool:
+    """Fast sufficient check: whether a point in odom is at most ``margin`` [m] outside the support polygon.
+
+    The polygon contains both soles' inner circles of ``radius`` [m], narrower when tilted, and the area between them.
+    """
+    (ax, ay, _), (bx, by, _) = positions.tolist()
+    x, y = point
+    narrow = max(0.0, min(rotations.item(8), rotations.item(17)))
+    ex, ey, px, py = bx - ax, by - ay, x - ax, y - ay
+    t = min(1.0, max(0.0, (px * ex + py * ey) / max(ex * ex + ey * ey, 1e-12)))
+    return hypot(px - t * ex, py - t * ey) <= margin + radius * narrow
+
+
+def corners_on_ground(corners: FloatArray, positions: FloatArray, rotations: FloatArray) -> list[Point]:
+    """Return eight points in odom: (2, 4, 3) corners in the soles' frames, seen from above [m]."""
+    placed = np.matmul(corners, rotations.transpose(0, 2, 1)) + positions[:, None]
+    return [(x, y) for x, y, _ in placed.reshape(-1, 3).tolist()]
+
+
 class FallDetector:
-    """Says that the robot falls, and by which quantity."""
+    """Detects a fall, with the quantity that shows it."""
 
     def __init__(self, robot: RobotDescription) -> None:
         tables = robot.tables
@@ -31,17 +69,11 @@ class FallDetector:
         self._outside_since: int | None = None
 
     def reset(self) -> None:
-        """Forget how long the DCM has been outside."""
+        """Clear how long the DCM has been outside."""
         self._outside_since = None
 
     def update(self, state: RobotState, soles: tuple[FloatArray, FloatArray] | None = None) -> str | None:
-        """A reason that names quantity, value and limit; None while the robot is not falling.
-
-        Args:
-            state: the estimate.
-            soles: positions (2, 3) and rotations (2, 3, 3) where the soles can push after the step that is being
-                taken; None: the robot stands, they are where they are.
-        """
+        """Return the reason of a fall, or None; ``soles``: poses after the step under way, None while it stands."""
         return self._tilt(state) or self._height(state) or self._dcm(state, soles)
 
     def _tilt(self, state: RobotState) -> str | None:
@@ -75,3 +107,42 @@ class FallDetector:
         if lasted < self._limits.dcm_duration:
             return None
         return f"DCM {outside:.3f} m outside the support polygon for {lasted:.3f} s, limit {limit:.3f} m"
+
+
+class BalanceWatch:
+    """Detects when fixed feet will not hold the DCM, so that a standing robot must step to keep its balance.
+
+    One sample is not enough: the estimate is noisy. After a detection it is disarmed until the DCM has been well
+    inside, so that a robot that leans on something does not keep stepping.
+    """
+
+    def __init__(self, robot: RobotDescription) -> None:
+        self._table = robot.read(Tuning).disturbance
+        self._corners = sole_corners(robot.tables.feet)
+        self._near_since: int | None = None
+        self._armed = True
+        self.reason = ""  # reason of the last detection
+
+    def update(self, state: RobotState, reference: FloatArray) -> bool:
+        """Return whether to step now, with both feet on the ground; ``reference`` is (3,) of the DCM [m]."""
+        table = self._table
+        x, y, _ = state.dcm_in_odom.tolist()
+        cx, cy, _ = reference.tolist()
+        if hypot(x - cx, y - cy) < table.calm:
+            self._armed, self._near_since = True, None
+            return False
+        if not self._armed:
+            return False
+        hull = convex_hull(corners_on_ground(self._corners, state.sole_positions_in_odom, state.sole_rotations_in_odom))
+        outside = distance_outside(hull, x, y)
+        if outside < -table.edge_margin:
+            self._near_since = None
+            return False
+        if self._near_since is None:
+            self._near_since = state.time
+        if state.time - self._near_since < 1e9 * table.edge_time:
+            return False
+        self._armed, self._near_since = False, None
+        where = "outside" if outside > 0.0 else "inside"
+        self.reason = f"stepping to keep balance: DCM {abs(outside):.3f} m {where} the edge of the support polygon"
+        return True

@@ -1,9 +1,9 @@
-"""Where the pelvis of the standing robot shall be, led from outside: x, y, z, roll, pitch and yaw in the support frame.
+"""Commanded pelvis pose of the standing robot: x, y, z, roll, pitch and yaw in the support frame.
 
-The support frame lies between the soles at their height and heads with them. x and y are from the pelvis' nominal
-place; roll, pitch and yaw turn about fixed axes in this order, R = R_z·R_y·R_x. What is asked for is followed with
-limited speed and acceleration. The controller balances the CoM and not the pelvis, so the pelvis' place is turned into
-the CoM's by the model, its feet kept where they are by the inverse kinematics of the legs.
+The support frame lies between the soles at their height, with their heading. x and y are relative to the nominal pelvis
+position; roll, pitch and yaw rotate about fixed axes in this order, R = R_z·R_y·R_x. The command is followed with
+limited speed and acceleration. The controller balances the CoM, so the model converts the pelvis position to a CoM
+position, with the feet held in place by the legs' inverse kinematics.
 """
 
 from __future__ import annotations
@@ -22,31 +22,19 @@ from valor.whole_body.state import RobotState
 
 Places = npt.NDArray[np.intp]
 
-HORIZON = 0.02  # for which what is led runs on by its velocity [s]
-HEIGHT = 2  # place of the pelvis' height in what is led
+HORIZON = 0.02  # Duration for which a command is extrapolated by its velocity [s]
+HEIGHT = 2  # index of the height among the six
 _SOLVED = 1e-6  # of the legs' inverse kinematics [m, rad]
 
 
 class PelvisReference:
-    """Follows what the pelvis is led to.
-
-    Attributes:
-        limits: of the six.
-        home: (6,) the nominal place: height above the soles, all else 0.
-        rotation: (3, 3) of the pelvis in support.
-        angular_velocity: (3,) likewise [rad/s].
-    """
+    """Follows the commanded pelvis pose."""
 
     def __init__(self, model: Model, leg_places: Places) -> None:
-        """At home.
-
-        Args:
-            model: the controller's.
-            leg_places: (m,) which of the model's joints are the legs'.
-        """
+        """Start at home; ``leg_places`` (m,) are the leg joints among the model's."""
         robot = model.robot
-        self.limits = CommandedLimits.of_pelvis(robot)
-        self.home = np.array((0.0, 0.0, robot.tables.nominal_base_height, 0.0, 0.0, 0.0))
+        self.limits = CommandedLimits.of_pelvis(robot)  # limits of the six coordinates
+        self.home = np.array((0.0, 0.0, robot.tables.nominal_base_height, 0.0, 0.0, 0.0))  # nominal pose
         self._limiter = Limiter(self.limits)
         self._legs = LegKinematics(model, ModelJoints(model), leg_places)
         self._everywhere = np.ones(6, dtype=bool)
@@ -57,28 +45,28 @@ class PelvisReference:
 
     @property
     def position(self) -> FloatArray:
-        """(6,) commanded now."""
+        """(6,) pose commanded in this period."""
         return self._limiter.position
 
     @property
     def com_displacement(self) -> FloatArray:
-        """(3,) of the CoM, from the nominal posture's, in support [m]."""
+        """(3,) displacement of the CoM from the nominal posture, in support [m]."""
         return self._legs.com_displacement
 
     @property
     def legs(self) -> FloatArray:
-        """(m,) joint angles of the legs that go with it [rad]."""
+        """(m,) joint angles of the legs for this pose [rad]."""
         return self._legs.position
 
     @property
     def resting(self) -> bool:
-        """Whether it is at home but for the height, and at rest: steps may begin."""
+        """True if the pelvis is at rest at home, at any height: steps may start."""
         away = np.abs(self._limiter.position - self.home) + np.abs(self._limiter.velocity)
         away[HEIGHT] = 0.0
         return bool(away.max() < 1e-3)
 
     def reset(self) -> None:
-        """Be at home, at once: for the beginning of balance, whose own start fades out."""
+        """Return home at once, when balance starts."""
         self.go_home()
         self._target[HEIGHT] = self.home[HEIGHT]
         self._limiter.reset(self._everywhere, self.home)
@@ -86,10 +74,10 @@ class PelvisReference:
         self._take()
         self._legs.reset()
         self._still = False
-        self.angular_velocity = np.zeros(3)
+        self.angular_velocity = np.zeros(3)  # of the pelvis in support [rad/s]
 
     def go_home(self) -> None:
-        """Return to the nominal place, but keep the height."""
+        """Return to the nominal pose at the present height."""
         height = self._target[HEIGHT]
         self._target = self.home.copy()
         self._target[HEIGHT] = height
@@ -97,12 +85,12 @@ class PelvisReference:
         self._still = False
 
     def lead(self, position: FloatArray, velocity: FloatArray, time: float) -> None:
-        """Follow (6,) a place within the limits, which moves with ``velocity`` (6,), from robot time ``time`` [s]."""
+        """Follow (6,) a pose within the limits, moving at (6,) ``velocity`` from robot time ``time`` [s]."""
         self._target, self._rate, self._led_at = position, velocity, time
         self._still = False
 
     def advance(self, now: float, dt: float) -> None:
-        """Go on by ``dt`` [s], until robot time ``now`` [s]."""
+        """Advance by ``dt`` [s] to robot time ``now`` [s]."""
         if self._still:
             return
         age = min(max(0.0, now - self._led_at), HORIZON)
@@ -122,22 +110,15 @@ class PelvisReference:
 
     def _take(self) -> None:
         roll, pitch, yaw = self._limiter.position[3:].tolist()
-        self.rotation = rotation.from_roll_pitch_yaw(roll, pitch, yaw)
+        self.rotation = rotation.from_roll_pitch_yaw(roll, pitch, yaw)  # (3, 3) of the pelvis in support
 
     def measured(self, state: RobotState) -> FloatArray:
-        """(6,) where the pelvis is, as estimated."""
+        """Return (6,) the estimated pelvis pose."""
         return state.pelvis_in_support - self._legs.nominal_place
 
 
 class LegKinematics:
-    """The model standing in its nominal stance, its pelvis somewhere, its upper body nominal: one Newton step a call.
-
-    Attributes:
-        position: (m,) of the legs' joints [rad].
-        com_displacement: (3,) of the CoM from where it is in the nominal posture, in support [m].
-        nominal_place: (6,) of the pelvis in support in the nominal posture; x and y alone are not 0 [m].
-        solved: whether the soles are where they shall be.
-    """
+    """Inverse kinematics of the legs in the nominal stance, for a pelvis pose: one Newton step per call."""
 
     def __init__(self, model: Model, joints: ModelJoints, legs: Places) -> None:
         robot, self._model = model.robot, model.mj
@@ -160,23 +141,18 @@ class LegKinematics:
         self._level = [data.site_xmat[site].reshape(3, 3).copy() for site in self._sites]
         self._nominal_com: FloatArray = self._com - self._middle
         self._nominal_height = robot.tables.nominal_base_height
-        self.nominal_place = np.zeros(6)
+        self.nominal_place = np.zeros(6)  # pelvis pose in support in the nominal posture; only x and y are not 0 [m]
         self.nominal_place[:2] = -self._middle[:2]
         self.reset()
 
     def reset(self) -> None:
-        """The nominal posture."""
-        self.position = self._nominal
-        self.com_displacement = np.zeros(3)
-        self.solved = True
+        """Return to the nominal posture."""
+        self.position = self._nominal  # (m,) of the leg joints [rad]
+        self.com_displacement = np.zeros(3)  # from the nominal posture, in support [m]
+        self.solved = True  # whether the soles are at their targets
 
     def update(self, pelvis: FloatArray, turn: FloatArray) -> None:
-        """Move the pelvis, and the legs with it.
-
-        Args:
-            pelvis: (6,) in support; its rotation unread.
-            turn: (3, 3) the rotation.
-        """
+        """Move pelvis and legs to (6,) a pose in support, whose rotation is given by (3, 3) ``turn``."""
         data = self._data
         data.qpos[0] = pelvis[0] - self._middle[0]
         data.qpos[1] = pelvis[1] - self._middle[1]
@@ -203,6 +179,6 @@ class LegKinematics:
         mujoco.mj_comPos(self._model, self._data)
 
     def _soles(self) -> FloatArray:
-        """(2, 3)."""
+        """(2, 3) positions of the soles [m]."""
         soles: FloatArray = self._data.site_xpos[self._sites]
         return soles

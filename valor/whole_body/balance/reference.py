@@ -1,27 +1,81 @@
-"""The reference of balance: from the state as it is, smoothly, to the nominal stance over the feet; or along a gait.
+"""Reference of balance, and the law of the Divergent Component of Motion (DCM), as expressions of ``kernel``.
 
-All start values fade out by one minimum-jerk blend s(t) (Flash & Hogan 1985). The CoM ends over the support's centre at
-its nominal height, moved with the arms (``arms``) and as the pelvis is led (``pelvis``); pelvis and chest end level,
-heading as the feet do, turned as the pelvis is led. While the robot steps, DCM and VRP are those of its gait, moved
-likewise. All of it is expressions of ``kernel``, which ``tasks.desired`` evaluates.
+The reference blends from the present state to the nominal stance over the feet, or follows a gait. All start values
+fade out by one minimum-jerk blend s(t) (Flash & Hogan 1985). The CoM ends over the support centre at its nominal
+height, displaced by the arms (``dynamics``) and the commanded pelvis (``pelvis``). Pelvis and chest end level, with the
+feet's heading, rotated by the commanded pelvis. While the robot steps, DCM and VRP are those of its gait with the same
+displacement.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from math import inf, sqrt
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from valor.common import rotation
-from valor.common.kernel import Expression, clipped
-from valor.common.turns import turned
+from valor.common.kernel import Expression, clipped, turned
 from valor.robot.description import RobotDescription
 from valor.whole_body.tuning_tables import Tuning
 
 
+@dataclass(frozen=True, slots=True)
+class DcmLaw:
+    """DCM feedback with bounded integral action: v = v_ref + (1 + k/ω)·(ξ − ξ_ref) + i,   i̇ = k_i·clip(ξ − ξ_ref).
+
+    With v_ref = ξ_ref − ξ̇_ref/ω the error e = ξ − ξ_ref has the dynamics ė = −k·e − ω·i: it decays with k, and model
+    errors (masses, their positions) end in i. The integrated error is clipped, because a large error is a push. The
+    part of e in the plane above a threshold has a higher gain, so that the CoP reaches the sole's edge at once; with k
+    alone it does so at an error of 5 cm. The horizontal acceleration is bounded by the friction of the soles under the
+    robot's weight: for more, the QP would press on the ground, and the robot would rise.
+    """
+
+    omega: float  # ω [1/s]
+    gain: float  # k [1/s]
+    integral_gain: float  # k_i [1/s]
+    integral_limit: float  # limit of each component of i [m]
+    integral_error: float  # limit of each component of the integrated error [m]
+    push_gain: float = 0.0  # added to k for the error above push_error [1/s]
+    push_error: float = 0.0  # threshold in the plane [m]
+    grip: float = inf  # limit of the acceleration in the plane [m/s²]
+
+    @staticmethod
+    def natural_frequency(height: float, gravity: float) -> float:
+        """Return ω = √(g/z) [1/s] for a CoM ``height`` above the soles [m]."""
+        return sqrt(gravity / height)
+
+    def repellent_point(
+        self, dcm: Expression, reference: Expression, vrp_reference: Expression, integral: Expression, dt: Expression
+    ) -> tuple[Expression, Expression]:
+        """Return (3,) v and the new (3,) i [m] from DCM, reference and reference VRP, (3,) in odom [m], and i."""
+        error = dcm - reference
+        slow = clipped(error, -self.integral_error, self.integral_error)
+        integral = integral + self.integral_gain * dt * slow
+        integral = clipped(integral, -self.integral_limit, self.integral_limit)
+        size = _in_plane(error)
+        beyond = ca.if_else(size > self.push_error, 1.0 - self.push_error / size, 0.0)
+        pushed = ca.vertcat(error[:2], 0.0) * beyond
+        proportional = (1.0 + self.gain / self.omega) * error + self.push_gain / self.omega * pushed
+        return vrp_reference + proportional + integral, integral
+
+    def acceleration(self, com: Expression, repellent_point: Expression) -> Expression:
+        """Return (3,) c̈ = ω²·(c − v) [m/s²], in the plane at most ``grip``."""
+        wanted = (com - repellent_point) * (self.omega * self.omega)
+        size = _in_plane(wanted)
+        share = ca.if_else(size > self.grip, self.grip / size, 1.0)
+        return ca.vertcat(share * wanted[:2], wanted[2])
+
+
+def _in_plane(vector: Expression) -> Expression:
+    """Length of (3,) in the plane."""
+    return ca.sqrt(vector[0] * vector[0] + vector[1] * vector[1])
+
+
 def minimum_jerk(time: Expression, duration: float) -> tuple[Expression, Expression, Expression]:
-    """s, ṡ [1/s], s̈ [1/s²] of the blend from 0 at 0 to 1 at ``duration`` [s]."""
+    """Return s, ṡ [1/s], s̈ [1/s²] of the blend from 0 at time 0 to 1 at ``duration`` [s]."""
     x = ca.fmin(time / duration, 1.0)
     return (
         x * x * x * (10.0 + x * (6.0 * x - 15.0)),
@@ -31,17 +85,7 @@ def minimum_jerk(time: Expression, duration: float) -> tuple[Expression, Express
 
 
 def followed(state: Expression, target: Expression, bandwidth: float, dt: Expression) -> Expression:
-    """A critically damped second-order filter, with the derivatives of what it gives: ẍ = ω²·(u − x) − 2ω·ẋ.
-
-    Args:
-        state: (3, k) rows x, ẋ [1/s], ẍ [1/s²].
-        target: (k,) u.
-        bandwidth: ω [rad/s].
-        dt: for which it follows, short beside 1/ω [s].
-
-    Returns:
-        (3, k) the state afterwards.
-    """
+    """Advance a critically damped filter ẍ = ω²·(u − x) − 2ω·ẋ by ``dt`` [s]; (3, k) rows x, ẋ [1/s], ẍ [1/s²]."""
     place, rate = state[0, :], state[1, :]
     acceleration = bandwidth**2 * (target.T - place) - 2.0 * bandwidth * rate
     rate = rate + dt * acceleration
@@ -49,13 +93,13 @@ def followed(state: Expression, target: Expression, bandwidth: float, dt: Expres
 
 
 class Feet(NamedTuple):
-    """Where the soles are in odom."""
+    """Poses of the soles in odom."""
 
     positions: Expression  # (2, 3) [m]
     rotations: Expression  # (6, 3) left above right
 
     def level(self) -> Expression:
-        """(3, 3) upright, heading as the feet do."""
+        """Return (3, 3) the level rotation with the mean heading of the feet."""
         across = self.rotations[0, 0] + self.rotations[3, 0], self.rotations[1, 0] + self.rotations[4, 0]
         yaw = ca.atan2(across[1], across[0])
         c, s = ca.cos(yaw), ca.sin(yaw)
@@ -63,40 +107,40 @@ class Feet(NamedTuple):
 
 
 class Led(NamedTuple):
-    """How the pelvis is led (``pelvis``), and what the arms do to the CoM and the chest (``arms``)."""
+    """Commanded pelvis (``pelvis``), and effect of the arms on CoM and chest (``UpperBodyKinematics``)."""
 
     rotation: Expression  # (3, 3) of the pelvis in support
-    angular_velocity: Expression  # (3,) likewise [rad/s]
-    com: Expression  # (3,) that the CoM is to move, in support [m]
-    arms_com: Expression  # (3,) that it moves with the arms, in pelvis [m]
+    angular_velocity: Expression  # (3,) of the pelvis in support [rad/s]
+    com: Expression  # (3,) displacement of the CoM with the pelvis, in support [m]
+    arms_com: Expression  # (3,) displacement of the CoM with the arms, in pelvis [m]
     chest: Expression  # (3, 3) in pelvis
 
 
 class Begun(NamedTuple):
-    """What the reference keeps from period to period."""
+    """State of the reference between periods."""
 
     time: Expression  # (1,) since the start [s]
-    support: Expression  # (3,) the CoM over the soles, followed slowly [m]
-    shift: Expression  # (3, 3) of the CoM, as of ``followed``
-    offsets: Expression  # (3, 3) at the start: CoM [m], pelvis, chest [rad]; none of the CoM's after a step
+    support: Expression  # (3,) CoM over the soles, low-pass filtered [m]
+    shift: Expression  # (3, 3) shift of the CoM, see ``followed``
+    offsets: Expression  # (3, 3) offsets at the start: CoM [m], zero after a step; pelvis, chest [rad]
 
 
 class Reference(NamedTuple):
-    """Where things shall be, in odom."""
+    """Reference values in odom."""
 
     dcm: Expression  # (3,) [m]
     vrp: Expression  # (3,) [m]
-    shift: Expression  # (3,) of the DCM, that the arms are not nominal [m]
-    centre_dcm: Expression  # (3,) of a robot with nominal arms [m]
-    centre_vrp: Expression  # (3,) likewise [m]
-    turning: Expression  # (3,) angular velocity of pelvis and chest, as the pelvis is led [rad/s]
-    legs_blend: Expression  # s, of the leg joints from where they were to nominal
+    shift: Expression  # (3,) part of the DCM due to arms that are not nominal [m]
+    centre_dcm: Expression  # (3,) DCM for nominal arms [m]
+    centre_vrp: Expression  # (3,) VRP for nominal arms [m]
+    turning: Expression  # (3,) commanded angular velocity of pelvis and chest [rad/s]
+    legs_blend: Expression  # s of the leg joints, from their start to nominal
     pelvis: Expression  # (3, 3)
     chest: Expression  # (3, 3)
 
 
 class StandReference:
-    """The reference of a robot."""
+    """Reference of balance of a robot."""
 
     def __init__(self, robot: RobotDescription, omega: float, com_height: float) -> None:
         """Args: omega: ω [1/s]. com_height: of the CoM above the soles in the nominal posture [m]."""
@@ -111,7 +155,7 @@ class StandReference:
         self._height = ca.DM((0.0, 0.0, com_height))
 
     def begin(self, feet: Feet, led: Led, com: Expression, pelvis: Expression, chest: Expression) -> Begun:
-        """At rest, from the CoM (3,) [m] and the rotations (3, 3) of pelvis and chest in odom: all numbers."""
+        """Start at rest, from (3,) CoM [m] and (3, 3) rotations of pelvis and chest in odom, as numbers."""
         level = feet.level()
         shift, support = self._shift(level, led), self._support(feet)
         offsets = (
@@ -124,15 +168,7 @@ class StandReference:
     def advance(
         self, begun: Begun, feet: Feet, led: Led, gait: tuple[Expression, Expression, Expression], dt: Expression
     ) -> tuple[Begun, Reference]:
-        """One period on.
-
-        Args:
-            begun: of the last period.
-            feet: as they are.
-            led: as commanded.
-            gait: whether the robot steps; (3,) DCM and (3,) VRP of its gait then [m].
-            dt: since the last period [s].
-        """
+        """Advance one period of ``dt`` [s]; ``gait`` is whether the robot steps, and its (3,) DCM and (3,) VRP [m]."""
         table, omega = self._table, self._omega
         steps, gait_dcm, gait_vrp = gait
         level, time = feet.level(), begun.time + dt
@@ -158,16 +194,16 @@ class StandReference:
             chest=turned(left * offsets[2, :].T) @ pelvis @ led.chest,
         )
         com_offset = ca.if_else(steps, 0.0, offsets[0, :])
-        support = ca.if_else(steps, centre_vrp, support)  # where standing goes on from
+        support = ca.if_else(steps, centre_vrp, support)  # where standing continues from
         return Begun(time, support, shift, ca.vertcat(com_offset, offsets[1:, :])), reference
 
     def _support(self, feet: Feet) -> Expression:
-        """(3,) of the CoM over the middle of both soles at nominal height, in odom [m]."""
+        """(3,) CoM over the middle of both soles at nominal height, in odom [m]."""
         middles = (feet.positions[i, :].T + feet.rotations[3 * i : 3 * i + 3, :] @ self._centres[i] for i in range(2))
         return 0.5 * sum(middles) + self._height
 
     def _shift(self, level: Expression, led: Led) -> Expression:
-        """(3,) of the CoM with the arms, limited, and with the pelvis; both together well inside the soles."""
+        """(3,) shift of the CoM with the arms, limited, plus the pelvis; the sum well inside the soles [m]."""
         shift = clipped(led.rotation @ led.arms_com, -self._limit, self._limit)
         return level @ clipped(shift + led.com, -self._inside, self._inside)
 

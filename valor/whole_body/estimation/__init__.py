@@ -1,1 +1,1 @@
-"""Where the robot is: the floating-base estimator and its parts."""
+"""Floating-base estimator and its parts."""

@@ -1,13 +1,11 @@
-"""Where the robot is: attitude from the IMU, position and velocity from the standing feet and the accelerometer.
+"""Floating-base estimator: attitude from the IMU, position and velocity from standing feet and accelerometer.
 
-Never the simulator's truth. Four parts:
+- ``Attitude``: gyroscope and the IMU's attitude; its level comes from gravity, its heading from the standing feet.
+- ``FootContact``: probability that each foot stands.
+- ``Odometry``: a Kalman filter of position, velocity and footholds.
+- ``Fusion``: leg kinematics, and the data exchanged between the parts.
 
-- ``Attitude``: gyroscope and the IMU's own attitude; its level comes from gravity, its heading from the standing feet.
-- ``FootContact``: how probably each foot stands.
-- ``Odometry``: a Kalman filter of position, velocity and where the feet stand.
-- ``Fusion``: leg kinematics, and what the parts tell each other.
-
-A period is two kernels (``fusion``), with the model's kinematics between them.
+A period is two kernels (``fusion``), with the model's kinematics in between.
 """
 
 from __future__ import annotations
@@ -23,19 +21,15 @@ from valor.common.kernel import Kernel
 from valor.common.messages import Proprioceptor
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.whole_body.balance.dcm import DcmLaw
-from valor.whole_body.estimation.attitude import Attitude
-from valor.whole_body.estimation.foot_contact import FootSense
-from valor.whole_body.estimation.fusion import TOLD, Fusion, Memory
-from valor.whole_body.estimation.odometry import FEET, POSITION
-from valor.whole_body.model.arms import UpperBodyKinematics
-from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.balance.reference import DcmLaw
+from valor.whole_body.estimation.filters import FEET, POSITION, Attitude, FootSense
+from valor.whole_body.estimation.fusion import SENT, Fusion, Memory
+from valor.whole_body.model.dynamics import Dynamics, UpperBodyKinematics
 from valor.whole_body.state import RobotState
-from valor.whole_body.tasks.feet import FootMotion
-from valor.whole_body.tasks.table import motions
+from valor.whole_body.tasks import FootMotion, motions
 from valor.whole_body.tuning_tables import Tuning
 
-LONGEST_GAP = 0.02  # between Proprioceptors that the IMU's rates are believed for [s]
+LONGEST_GAP = 0.02  # Longest period over which the IMU's rates are integrated [s]
 _CONTACTS: tuple[npt.NDArray[np.uint8], ...] = tuple(
     np.array(pair, dtype=np.uint8) for pair in ((0, 0), (1, 0), (0, 1), (1, 1))
 )
@@ -44,15 +38,11 @@ for _pair in _CONTACTS:
 
 
 class FloatingBaseEstimator:
-    """Estimates the floating base from Proprioceptor, and with it all of ``RobotState``.
-
-    Attributes:
-        dynamics: at the last state.
-    """
+    """Estimates the floating base and all of ``RobotState`` from Proprioceptor."""
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
         self._table = table = robot.read(Tuning).estimator
-        self.dynamics = dynamics = Dynamics(model, motions(model))
+        self.dynamics = dynamics = Dynamics(model, motions(model))  # model at the last state
         self._joints = len(robot.joints)
         site = model.site(robot.tables.imu.site)
         self._mounting = rotation.quaternion(model.mj.site_quat[site])
@@ -68,9 +58,9 @@ class FloatingBaseEstimator:
         self._before, self._after = Memory.zeros(self._joints), Memory.zeros(self._joints)
         self._measured = np.zeros(22 + 2 * self._joints)
         self._dt = np.zeros(1)
-        self._told = np.zeros(sum(int(np.prod(shape)) for shape in TOLD.values()))
+        self._sent = np.zeros(sum(int(np.prod(shape)) for shape in SENT.values()))
         self._touching = np.zeros(2)
-        ends = np.cumsum([0, *(np.prod(shape) for shape in TOLD.values())]).tolist()
+        ends = np.cumsum([0, *(np.prod(shape) for shape in SENT.values())]).tolist()
         self._fields = itemgetter(*(slice(*pair) for pair in pairwise(ends)))
         self._feel_motion = Kernel(
             "imu",
@@ -92,17 +82,17 @@ class FloatingBaseEstimator:
                 dynamics.sole_rotation,
                 dynamics.jacobian[dynamics.rows[FootMotion.name]],
             ),
-            (*self._after, self._told, self._touching),
+            (*self._after, self._sent, self._touching),
         )
         self._time = 0
         self._started = False
 
     def reset(self) -> None:
-        """Begin anew with the next Proprioceptor: odom between the feet, at the soles' height, facing as they do."""
+        """Restart with the next Proprioceptor: odom between the soles, at their height, with their heading."""
         self._started = False
 
     def update(self, proprioceptor: Proprioceptor) -> RobotState:
-        """The estimate at a Proprioceptor, whose arrays have the robot's lengths and are finite."""
+        """Return the estimate for a Proprioceptor, whose arrays must have the robot's lengths and be finite."""
         np.concatenate(
             (
                 proprioceptor.imu_orientation,
@@ -123,8 +113,8 @@ class FloatingBaseEstimator:
         self._feel_motion()
         self.dynamics.evaluate()
         self._feel_ground()
-        # By position, for twenty fields by name take longer than to find what is in them.
-        turned, soles, sole_rotations, *vectors = self._fields(self._told.copy())
+        # By position: twenty keyword arguments take longer than computing the fields.
+        turned, soles, sole_rotations, *vectors = self._fields(self._sent.copy())
         left, right = self._touching.tolist()
         return RobotState(
             proprioceptor.time,
@@ -140,7 +130,7 @@ class FloatingBaseEstimator:
         )
 
     def _start(self, proprioceptor: Proprioceptor) -> None:
-        """Put odom between the feet; whichever carries weight, both are taken to stand."""
+        """Set odom between the feet, which are assumed to stand both."""
         dynamics, after, table = self.dynamics, self._after, self._table
         places = dynamics.joints.places
         position, velocity = proprioceptor.joint_position[places], proprioceptor.joint_velocity[places]

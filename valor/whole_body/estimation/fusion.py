@@ -1,12 +1,11 @@
-"""What the parts of the estimator tell each other, as the expressions of two kernels.
+"""Sensor fusion of the estimator's parts, as the expressions of two kernels.
 
-What was remembered *after* the last period becomes, by the IMU, what is known *before* the feet are asked (``by_imu``),
-and that what is remembered after this one (``by_feet``). Between the two lies the model's kinematics.
+``by_imu`` turns the memory after the last period into the one before the feet are evaluated; ``by_feet`` turns that
+into the memory after this period. The model's kinematics are evaluated in between.
 
-A standing foot is still at its centre of pressure, even when it rolls over an edge or settles on a stone: so the sole's
-origin moves as the sole turns about that point. What the accelerometer seems to measure too much horizontally is
-gravity, seen from an attitude that is not level: δθ = (b_y, −b_x)/g. It goes to the attitude at once, so that odometry
-does not climb: 2 mrad of tilt are 2 mm a metre.
+A standing foot is at rest at its centre of pressure, even when it rolls over an edge: the sole's origin moves as the
+sole rotates about that point. A horizontal accelerometer bias b is gravity, seen from a tilted attitude:
+δθ = (b_y, −b_x)/g. It corrects the attitude at once, so that odometry does not climb: 2 mrad of tilt are 2 mm/m.
 """
 
 from __future__ import annotations
@@ -18,18 +17,29 @@ import casadi as ca
 import numpy as np
 
 from valor.common import rotation
-from valor.common.kernel import Expression, parts, pieces
+from valor.common.kernel import Expression, parts, pieces, roll_pitch_yaw
 from valor.common.rotation import Quaternion
-from valor.common.turns import roll_pitch_yaw
-from valor.whole_body.estimation import attitude, foot_contact
-from valor.whole_body.estimation.attitude import Attitude
-from valor.whole_body.estimation.foot_contact import FootContact, FootSense, Past
-from valor.whole_body.estimation.odometry import BIAS, FEET, NOTHING, POSITION, SIZE, VELOCITY, Odometry
+from valor.whole_body.estimation.filters import (
+    ATTITUDE_SIZE,
+    BIAS,
+    FEET,
+    NOTHING,
+    PAST_SIZE,
+    POSITION,
+    SIZE,
+    VELOCITY,
+    Attitude,
+    FootContact,
+    FootSense,
+    Odometry,
+    Past,
+    chosen,
+)
 from valor.whole_body.model.dynamics import Dynamics
-from valor.whole_body.tasks.centre_of_mass import CentreOfMass
+from valor.whole_body.tasks import CentreOfMass
 from valor.whole_body.tuning_tables import Estimator
 
-TOLD: dict[str, tuple[int, ...]] = {
+SENT: dict[str, tuple[int, ...]] = {
     "pelvis_rotation_in_odom": (3, 3),
     "sole_positions_in_odom": (2, 3),
     "sole_rotations_in_odom": (2, 3, 3),
@@ -48,31 +58,31 @@ TOLD: dict[str, tuple[int, ...]] = {
     "pelvis_linear_velocity_variance": (3,),
     "pelvis_in_support": (6,),
 }
-"""What ``by_feet`` tells of the state: the last fields of RobotState in their order, and their shapes."""
+"""State output of ``by_feet``: the last fields of RobotState in their order, with shapes."""
 
 
 class Memory(NamedTuple):
-    """What goes from period to period: arrays, or expressions of them."""
+    """State between periods: arrays, or expressions."""
 
     attitude: Expression  # (15,) of ``Attitude``
     state: Expression  # (5, 3) of ``Odometry``
-    covariance: Expression  # (5, 5) of it
-    acceleration: Expression  # (3,) of it [m/s²]
+    covariance: Expression  # (5, 5) of ``Odometry``
+    acceleration: Expression  # (3,) of ``Odometry`` [m/s²]
     feet: Expression  # (2, 12) of ``Past``, left and right
-    surprise: Expression  # (2,) of the legs' last measurements
-    anchors: Expression  # (2,) how each standing sole is turned in odom [rad]
+    surprise: Expression  # (2,) of each leg's last measurement, see ``Odometry.surprise``
+    anchors: Expression  # (2,) yaw of each standing sole in odom [rad]
     heading_variance: Expression  # (1,) [rad²]
     joint_velocity: Expression  # (n,) filtered [rad/s]
 
     @classmethod
     def zeros(cls, joints: int) -> Memory:
-        """Arrays, for a robot of so many joints."""
-        shapes = ((attitude.SIZE,), (SIZE, 3), (SIZE, SIZE), (3,), (2, foot_contact.SIZE), (2,), (2,), (1,), (joints,))
+        """Create arrays for a robot with n joints."""
+        shapes = ((ATTITUDE_SIZE,), (SIZE, 3), (SIZE, SIZE), (3,), (2, PAST_SIZE), (2,), (2,), (1,), (joints,))
         return cls(*(np.zeros(shape) for shape in shapes))
 
 
 class Measured(NamedTuple):
-    """What Proprioceptor says that matters here, as expressions."""
+    """Inputs from Proprioceptor, as expressions."""
 
     imu_orientation: Expression  # (4,)
     imu_angular_velocity: Expression  # (3,)
@@ -84,12 +94,12 @@ class Measured(NamedTuple):
 
     @classmethod
     def of(cls, numbers: Expression, joints: int) -> Measured:
-        """From (22 + 2n,) numbers, one field after another."""
+        """Create from (22 + 2n,) numbers, field by field."""
         return cls(*pieces(numbers, (4, 3, 3, 6, 6, joints, joints)))
 
 
 class Fusion:
-    """Of one robot."""
+    """Expressions of a robot's estimator."""
 
     def __init__(
         self,
@@ -101,21 +111,12 @@ class Fusion:
         joints: int,
         omega: float,
     ) -> None:
-        """The expressions of a robot.
-
-        Args:
-            table: how far each part is trusted.
-            dynamics: the model.
-            feet: left and right.
-            mounting: of the IMU in pelvis.
-            joints: n, of the robot.
-            omega: ω of the DCM [1/s].
-        """
+        """Create for n joints and ω of the DCM [1/s]; ``mounting`` is the rotation of the IMU in pelvis."""
         self._table, self._dynamics, self._feet, self._mounting = table, dynamics, feet, mounting
         self._joints, self._inverse_omega = joints, 1.0 / omega
 
     def by_imu(self, *symbols: Expression) -> Sequence[Expression]:
-        """The attitude at this period, the joints' filtered velocities, and the model's configuration and rates."""
+        """Return the memory with attitude and filtered joint velocities, and the model's configuration and rates."""
         memory, (numbers, dt) = Memory(*symbols[:-2]), symbols[-2:]
         measured = Measured.of(numbers, self._joints)
         imu = parts(measured.imu_orientation)
@@ -134,11 +135,11 @@ class Fusion:
         )
 
     def _in_pelvis(self, vector: Expression) -> Expression:
-        """(3,) of the IMU's axes."""
+        """(3,) a vector in the IMU's axes, rotated to pelvis."""
         return ca.DM(rotation.rows(self._mounting)) @ vector
 
     def by_feet(self, *symbols: Expression) -> Sequence[Expression]:
-        """What the feet feel and the legs measure; all of the state."""
+        """Return the memory with the measurements of feet and legs, the state, and contacts."""
         memory, (numbers, dt, turned, com, task_velocity, soles, sole_rotations, jacobian) = (
             Memory(*symbols[:-8]),
             symbols[-8:],
@@ -170,10 +171,10 @@ class Fusion:
         middle = shares[0] * places[0] + shares[1] * places[1]
         corrected, levelled = self._levelled(known, corrected, turned, middle)
         odometry = Odometry(*(ca.if_else(standing, one, two) for one, two in zip(corrected, faded, strict=True)))
-        known = attitude.chosen(standing, levelled, known)
+        known = chosen(standing, levelled, known)
         turn = sum(share * (anchor - foot.yaw) for share, anchor, foot in zip(shares, anchors, feet, strict=True))
         held = ca.logic_and(standing, both)
-        known = attitude.chosen(held, known.heading_turned(dt / table.heading_time_constant * turn), known)
+        known = chosen(held, known.heading_turned(dt / table.heading_time_constant * turn), known)
         heading_variance += ca.if_else(held, 0.0, table.heading_walk**2 * dt)
 
         after = Memory(
@@ -186,14 +187,14 @@ class Fusion:
             memory.joint_velocity,
         )
         com_velocity = odometry.state[VELOCITY, :].T + task_velocity[dynamics.rows[CentreOfMass.name]]
-        told = self._of_base(known, odometry, com, com_velocity, heading_variance) | {
+        sent = self._of_base(known, odometry, com, com_velocity, heading_variance) | {
             "pelvis_rotation_in_odom": turned,
             "pelvis_angular_velocity_in_pelvis": rates[:3],
             **self._of_feet(feet, odometry, places),
             "sole_rotations_in_odom": sole_rotations,
             "pelvis_in_support": _in_support(turned, places, rotations),
         }
-        return *after, ca.vertcat(*(ca.vec(told[name].T) for name in TOLD)), ca.vertcat(left.touching, right.touching)
+        return *after, ca.vertcat(*(ca.vec(sent[name].T) for name in SENT)), ca.vertcat(left.touching, right.touching)
 
     def _felt(
         self,
@@ -203,7 +204,7 @@ class Fusion:
         places: Sequence[Expression],
         dt: Expression,
     ) -> tuple[list[FootContact], Odometry, list[Expression], Expression]:
-        """The feet; odometry, headings and their variance with what those did that rolled or landed."""
+        """Feet; odometry, headings and their variance, after rolling and landing."""
         table = self._table
         odometry = Odometry(memory.state, memory.covariance, memory.acceleration)
         heading_variance, anchors = memory.heading_variance, list(parts(memory.anchors))
@@ -217,7 +218,7 @@ class Fusion:
             state[FEET + i, :] += rolling.T
             odometry = odometry._replace(state=state)
             odometry = odometry.placed(i, foot.landed, places[i], table.foothold_deviation**2)
-            # A foot that surely stands keeps its heading; one that does not takes it along.
+            # A foot that surely stands keeps its heading; else the heading follows the foot.
             share = ca.if_else(foot.touching, ca.if_else(foot.landed, 1.0, 1.0 - foot.probability), 0.0)
             anchors[i] += share * (foot.yaw - anchors[i])
             heading_variance += ca.if_else(foot.landed, table.foothold_heading_deviation**2, 0.0)
@@ -231,7 +232,7 @@ class Fusion:
         com_velocity: Expression,
         heading_variance: Expression,
     ) -> dict[str, Expression]:
-        """Of the floating base and the CoM, as ``TOLD`` names it; ``com`` (3,) is from the pelvis."""
+        """Floating base and CoM by the names of ``SENT``; ``com`` (3,) is from the pelvis."""
         base, covariance = odometry.state[POSITION, :].T, odometry.covariance
         level = covariance[BIAS, BIAS] / self._dynamics.gravity**2
         return {
@@ -242,7 +243,7 @@ class Fusion:
             "com_velocity_in_odom": com_velocity,
             "dcm_in_odom": base + com + com_velocity * self._inverse_omega,
             "pelvis_position_variance": ca.repmat(covariance[POSITION, POSITION], 3),
-            # Level as uncertain as the accelerometer's error makes it.
+            # The accelerometer's error determines the uncertainty of the level.
             "pelvis_orientation_variance": ca.vertcat(level, level, heading_variance)
             + self._table.attitude_deviation**2,
             "pelvis_linear_velocity_variance": ca.repmat(covariance[VELOCITY, VELOCITY], 3),
@@ -252,7 +253,6 @@ class Fusion:
     def _of_feet(
         feet: Sequence[FootContact], odometry: Odometry, places: Sequence[Expression]
     ) -> dict[str, Expression]:
-        """Of the feet, as ``TOLD`` names it."""
         left, right = feet
         base = odometry.state[POSITION, :].T
         return {
@@ -263,7 +263,7 @@ class Fusion:
         }
 
     def _wander(self, left: FootContact, right: FootContact) -> tuple[Expression, Expression]:
-        """Variance that each foot's place gains a second: little beside the other, more alone, much slipping [m²/s]."""
+        """Growth of each foothold's variance [m²/s]: small with both feet down, more with one, most slipping."""
         creep, slip = self._table.creep**2, self._table.slip**2
         creep += (1.0 - ca.fmin(left.probability, right.probability)) * self._table.creep_alone**2
         return creep + (1.0 - left.probability) * slip, creep + (1.0 - right.probability) * slip
@@ -276,23 +276,15 @@ class Fusion:
         jacobian: Expression,
         rates: Expression,
     ) -> tuple[Expression, Expression]:
-        """(4, 3) what the legs measure, and its (4,) variances.
-
-        Args:
-            feet: left and right.
-            shares: of the weight on each that is believed.
-            places: (3,) of each sole from the pelvis, in odom's axes [m].
-            jacobian: (12, nv) of the soles.
-            rates: (nv − 3,) angular velocity of the pelvis and of the joints, as measured [rad/s].
-        """
+        """(4, 3) measurements of the legs and (4,) variances, from (3,) ``places`` of the soles, in odom's axes [m]."""
         place, rate = self._table.leg_position_deviation**2, self._table.leg_velocity_deviation**2
         velocities, doubts = [], []
         for i, foot in enumerate(feet):
             moving = self._dynamics.sole_dofs[i]
             rows = jacobian[6 * i : 6 * i + 6, moving] @ rates[[dof - 3 for dof in moving]]
-            # The velocity of the pelvis from the centre of pressure, which stands still: −(v + ω×r).
+            # Velocity of the pelvis from the centre of pressure, which is at rest: −(v + ω×r).
             velocities.append(-(rows[:3] + ca.cross(rows[3:], foot.cop)))
-            # Of two feet that disagree, the one that carries less is the likelier to slip.
+            # If two feet disagree, the one with less weight is more likely to slip.
             doubts.append(ca.if_else(foot.touching, 0.5 / (shares[i] * foot.probability**2), NOTHING / place))
         measured = ca.horzcat(*places, *velocities).T
         return measured, ca.vertcat(*(place * doubt for doubt in doubts), *(rate * doubt for doubt in doubts))
@@ -300,14 +292,7 @@ class Fusion:
     def _levelled(
         self, known: Attitude, odometry: Odometry, turned: Expression, middle: Expression
     ) -> tuple[Odometry, Attitude]:
-        """The attitude turned by what the accelerometer measures too much, the pelvis about the feet.
-
-        Args:
-            known: of the attitude.
-            odometry: corrected.
-            turned: (3, 3) pelvis in odom.
-            middle: (3,) of the feet from the pelvis, as they are loaded, in odom's axes [m].
-        """
+        """Rotate the attitude by the accelerometer's bias, and the pelvis about ``middle``, the loaded feet [m]."""
         state, g = ca.SX(odometry.state), self._dynamics.gravity
         tilt = ca.vertcat(state[BIAS, 1] / g, -state[BIAS, 0] / g, 0.0)
         levelled, taken = known.tilted(parts(turned.T @ tilt))
@@ -317,13 +302,7 @@ class Fusion:
 
 
 def _in_support(pelvis: Expression, places: Sequence[Expression], rotations: Sequence[Expression]) -> Expression:
-    """(6,) ``RobotState.pelvis_in_support``.
-
-    Args:
-        pelvis: (3, 3) in odom.
-        places: (3,) of each sole from the pelvis, in odom's axes [m].
-        rotations: (3, 3) of each sole in odom.
-    """
+    """(6,) ``RobotState.pelvis_in_support``; arguments as in ``RobotState``, ``places`` from the pelvis."""
     left, right = rotations
     heading = ca.atan2(left[1, 0] + right[1, 0], left[0, 0] + right[0, 0])
     away = -0.5 * (places[0] + places[1])

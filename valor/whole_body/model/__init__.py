@@ -1,1 +1,1 @@
-"""The reduced model of the robot, evaluated: kinematics, dynamics, what the arms do to the centre of mass."""
+"""Reduced model of the robot: kinematics, dynamics, effect of the arms on the centre of mass."""

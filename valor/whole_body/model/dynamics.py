@@ -1,14 +1,14 @@
-"""Kinematics and dynamics of the reduced model, from a handful of MuJoCo calls.
+"""Kinematics and dynamics of the reduced model, from a few MuJoCo calls.
 
-Everything here is evaluated with the pelvis at the origin and without linear velocity, in odom's axes: mass matrix,
-bias forces, Jacobians and their drift do not change with either (homogeneity of space, Galilei), so they can be had
-before the estimator knows where the pelvis is, once for estimator and controller.
+Everything is evaluated with the pelvis at the origin and without linear velocity, in the axes of odom: mass matrix,
+bias forces, Jacobians and their drift depend on neither (homogeneity of space, Galilei). They are therefore evaluated
+once for estimator and controller, before the pelvis position is estimated.
 
-The equations of motion, pelvis rows first (linear in odom, angular in pelvis), with contact forces f at the soles:
+Equations of motion, pelvis rows first (linear in odom, angular in pelvis), with contact forces f at the soles:
 
     M(q)·v̇ + h(q, v) = Sᵀ·τ + Jᵀ·f
 
-What tasks want something of is in ``motion``.
+The motions that tasks use are defined in ``motion``.
 """
 
 from __future__ import annotations
@@ -29,98 +29,67 @@ from valor.whole_body.model.motion import FEET, Base, Motions
 
 
 class ModelJoints:
-    """The joints that the reduced model has, in the order of its degrees of freedom.
-
-    Attributes:
-        places: of them in every joint vector of the robot; a slice, so that indexing costs nothing, if they are
-            contiguous there.
-        indices: the same, one by one.
-    """
+    """Joints of the reduced model, in the order of its degrees of freedom."""
 
     def __init__(self, model: Model) -> None:
         count = model.mj.nv - 6
         of_dof = np.zeros(model.mj.nv, dtype=np.intp)
         of_dof[model.dof] = np.arange(len(model.robot.joints), dtype=np.intp)[model.joint_indices]
         self.count = count
-        self.indices: list[int] = of_dof[6:].tolist()
+        self.indices: list[int] = of_dof[6:].tolist()  # the same as a list
         first, last = self.indices[0], self.indices[-1] + 1
         contiguous = self.indices == list(range(first, last))
-        self.places: Indices = slice(first, last) if contiguous else np.array(self.indices)
+        self.places: Indices = slice(first, last) if contiguous else np.array(self.indices)  # in joint vectors
+        self.names = tuple(model.robot.joints[place] for place in self.indices)  # their names
         self._robot = model.robot
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the joints."""
-        return tuple(self._robot.joints[place] for place in self.indices)
-
     def group(self, *groups: str) -> npt.NDArray[np.intp]:
-        """Which of the model's joints belong to the groups."""
+        """Return the indices of the model's joints that belong to the groups."""
         members = np.concatenate([self._robot.group_indices(group) for group in groups])
         return np.flatnonzero(np.isin(self.indices, members))
 
 
 class Dynamics:
-    """The reduced model at one state.
+    """Reduced model at one state; ``sole_dofs`` move each sole relative to the pelvis position.
 
-    Attributes:
-        joints: the model's joints.
-        mass: [kg]. gravity: [m/s²].
-        joint_position: (nj,) [rad]; joint_velocity: (nj,) [rad/s], of the model's joints.
-        velocity: (nv,) of the model, its linear part zero.
-        rotation: (3, 3) pelvis in odom.
-        mass_matrix: (nv, nv). bias: (nv,) Coriolis, centrifugal and gravity forces.
-        com: (3,) from the pelvis, in odom's axes [m].
-        rows: of each motion, by name.
-        jacobian: (count, nv), drift: (count,): acceleration = jacobian·v̇ + drift of the motions.
-        task_velocity: (count,) = jacobian·velocity: relative to the pelvis' linear velocity.
-        poses: (size,) of the motions that have one.
-        sole_position: (2, 3) from the pelvis, in odom's axes [m]. sole_rotation: (2, 3, 3) in odom.
-        configuration: (4 + nj,) orientation of the pelvis in odom, then joint_position; to be written before
-            ``evaluate``. rates: (3 + nj,) angular velocity of the pelvis in pelvis, then joint_velocity; likewise.
-        sole_dofs: of each sole, the degrees of freedom that move it from the pelvis' place: the pelvis' rotation and
-            the leg's joints. Its other columns of the Jacobian are zero, but for the pelvis' linear ones.
+    ``task_velocity`` is jacobian·velocity, relative to the pelvis' linear velocity.
     """
 
     def __init__(self, model: Model, motions: Motions) -> None:
-        """Evaluate these motions, among them the soles' by the name ``FEET``."""
+        """Create the model with these motions; that of the soles is named ``FEET``."""
         tables, mj = model.robot.tables, model.mj
-        self.joints = ModelJoints(model)
+        self.joints = ModelJoints(model)  # the model's joints
         self._model = mj
         self._data = data = mujoco.MjData(mj)
         base = model.body(tables.base)
         soles = (model.site(tables.feet.left.sole), model.site(tables.feet.right.sole))
-        self.mass = float(mj.body_subtreemass[base])
-        self.gravity = -float(mj.opt.gravity[2])
+        self.mass = float(mj.body_subtreemass[base])  # [kg]
+        self.gravity = -float(mj.opt.gravity[2])  # [m/s²]
         nv = mj.nv
-        self.mass_matrix = np.zeros((nv, nv))
-        self.bias = np.zeros(nv)
-        self.rows, self._motions = motions.rows, motions
-        self.jacobian = np.zeros((motions.count, nv))
-        self.drift, self.task_velocity = np.zeros(motions.count), np.zeros(motions.count)
-        self.poses = np.zeros(motions.size)
-        self.rotation = np.eye(3)
-        self.joint_position: FloatArray = data.qpos[7:]
-        self.joint_velocity: FloatArray = data.qvel[6:]
-        self.velocity: FloatArray = data.qvel
-        self.com: FloatArray = data.subtree_com[base]
+        self.mass_matrix = np.zeros((nv, nv))  # (nv, nv)
+        self.bias = np.zeros(nv)  # (nv,) Coriolis, centrifugal and gravity forces
+        self.rows, self._motions = motions.rows, motions  # rows of each motion, by name
+        self.jacobian = np.zeros((motions.count, nv))  # (count, nv); motions accelerate by jacobian·v̇ + drift
+        self.drift, self.task_velocity = np.zeros(motions.count), np.zeros(motions.count)  # (count,)
+        self.poses = np.zeros(motions.size)  # (size,) of the motions that have a pose
+        self.rotation = np.eye(3)  # (3, 3) pelvis in odom
+        self.joint_position: FloatArray = data.qpos[7:]  # (nj,) of the model's joints [rad]
+        self.joint_velocity: FloatArray = data.qvel[6:]  # (nj,) [rad/s]
+        self.velocity: FloatArray = data.qvel  # (nv,) of the model, its linear part zero
+        self.com: FloatArray = data.subtree_com[base]  # (3,) from the pelvis, in odom's axes [m]
         of_soles = self.poses[motions.poses[FEET]]
-        self.sole_position: FloatArray = of_soles[:6].reshape(2, 3)
-        self.sole_rotation: FloatArray = of_soles[6:].reshape(2, 3, 3)
-        self.configuration: FloatArray = data.qpos[3:]
-        self.rates: FloatArray = data.qvel[3:]
+        self.sole_position: FloatArray = of_soles[:6].reshape(2, 3)  # from the pelvis, in odom's axes [m]
+        self.sole_rotation: FloatArray = of_soles[6:].reshape(2, 3, 3)  # in odom
+        self.configuration: FloatArray = data.qpos[3:]  # (4 + nj,) input: pelvis orientation in odom, joints
+        self.rates: FloatArray = data.qvel[3:]  # (3 + nj,) input: angular velocity of the pelvis in pelvis, joints
         self.sole_dofs = tuple(self._moving(int(mj.site_bodyid[site])) for site in soles)
         self._jacobians = motions.calls(data, self.jacobian)
+        own = (self.jacobian[rows] for rows in motions.in_kernel)
         self._accelerations = Kernel(
             "accelerations",
             self._expressions,
             (data.qpos[3:7], self.mass_matrix[:6], self.bias[:6], self.com, data.qvel, *motions.inputs(data)),
-            (
-                self.rotation,
-                self.drift,
-                self.task_velocity,
-                self.poses,
-                *(self.jacobian[rows] for rows in motions.in_kernel),
-            ),
+            (self.rotation, self.drift, self.task_velocity, self.poses, *own),
         )
         data.qpos[:] = 0.0
         data.qpos[3] = 1.0
@@ -128,13 +97,9 @@ class Dynamics:
     def update(
         self, orientation: Quaternion, angular_velocity: FloatArray, position: FloatArray, velocity: FloatArray
     ) -> None:
-        """Evaluate everything.
+        """Evaluate everything at a pelvis orientation in odom and (3,) angular velocity in pelvis [rad/s].
 
-        Args:
-            orientation: of the pelvis in odom.
-            angular_velocity: (3,) of the pelvis in pelvis [rad/s].
-            position: (nj,) of the model's joints [rad].
-            velocity: (nj,) [rad/s].
+        ``position`` and ``velocity`` are (nj,) of the model's joints [rad, rad/s].
         """
         self.configuration[:4] = orientation
         self.configuration[4:] = position
@@ -157,24 +122,16 @@ class Dynamics:
         self._accelerations()
 
     def nearest(self, one: int, other: int, reach: float, segment: FloatArray) -> float:
-        """The distance between two geoms [m], negative where they overlap; ``reach`` if they are farther apart.
-
-        Args:
-            one: a geom's id.
-            other: likewise.
-            reach: farther than which nothing is looked for [m].
-            segment: (6,) written to: the nearest points of both, from the pelvis, in odom's axes [m].
-        """
+        """Return the distance of two geoms, at most ``reach``; write their nearest points to (6,) ``segment`` [m]."""
         return float(mujoco.mj_geomDistance(self._model, self._data, one, other, reach, segment))
 
     def point_jacobian(self, geom: int, point: FloatArray, rows: FloatArray, rates: FloatArray) -> None:
-        """Of a point on a geom's body: (3, nv) ``rows`` and their time derivative ``rates`` are written to."""
+        """Write the Jacobian of a point on a geom's body to (3, nv) ``rows``, its time derivative to ``rates``."""
         body = self._model.geom_bodyid[geom]
         mujoco.mj_jac(self._model, self._data, rows, None, point, body)
         mujoco.mj_jacDot(self._model, self._data, rates, None, point, body)
 
     def _moving(self, body: int) -> list[int]:
-        """The degrees of freedom that move a body, but for the pelvis' linear ones."""
         m = self._model
         dofs: list[int] = []
         while body > 0:
@@ -183,16 +140,50 @@ class Dynamics:
             body = int(m.body_parentid[body])
         return sorted(dof for dof in dofs if dof >= 3)
 
-    def _expressions(
-        self,
-        orientation: Expression,
-        mass_rows: Expression,
-        bias: Expression,
-        com: Expression,
-        rates: Expression,
-        *inputs: Expression,
-    ) -> Sequence[Expression]:
-        """Rotation of the pelvis, then drifts, velocities, poses and some of the Jacobians of the motions."""
+    def _expressions(self, orientation: Expression, *given: Expression) -> Sequence[Expression]:
+        """Rotation of the pelvis; drifts, velocities, poses and some Jacobians of the motions."""
+        mass_rows, bias, com, rates, *inputs = given
         up = ca.vertcat(0.0, 0.0, self.gravity)
         turned = ca.vertcat(*(ca.horzcat(*row) for row in rotation.rows(parts(orientation))))
         return turned, *self._motions.find(Base(turned, mass_rows, bias, com, rates, up, self.mass), inputs)
+
+
+class UpperBodyKinematics:
+    """Effect of the commanded arms on CoM and chest: the model with a level pelvis at the origin and nominal legs.
+
+    A controller that only keeps the CoM moves the torso back when an arm goes forward (thesis 5.3). The CoM reference
+    therefore moves as the arms would move the CoM with legs and pelvis frozen; the torso stays.
+    """
+
+    def __init__(self, model: Model) -> None:
+        robot = model.robot
+        joints = ModelJoints(model)
+        self._model = model.mj
+        self._data = data = mujoco.MjData(model.mj)
+        self._legs = joints.group("left_leg", "right_leg")
+        self._upper = joints.group("torso", "left_arm", "right_arm")
+        self._nominal: FloatArray = robot.nominal_posture[joints.places]
+        data.qpos[:] = 0.0
+        data.qpos[3] = 1.0
+        data.qpos[7:] = self._nominal
+        self.com: FloatArray = data.subtree_com[model.body(robot.tables.base)]  # (3,) in pelvis, now [m]
+        self.chest: FloatArray = data.xmat[model.body(robot.tables.chest)].reshape(3, 3)  # (3, 3) in pelvis
+        self._evaluate()
+        self.nominal_com = self.com.copy()  # (3,) in the nominal posture [m]
+        feet = robot.tables.feet
+        soles = [data.site_xpos[model.site(foot.sole)][2] for foot in (feet.left, feet.right)]
+        self.nominal_com_height = float(self.com[2] - np.mean(soles))  # above the soles [m]
+        self._places = 7 + self._upper
+        self._last = b""
+
+    def update(self, position: FloatArray) -> None:
+        """Move the upper body to (nj,) positions of the model's joints [rad]; those of the legs are ignored."""
+        upper = position[self._upper]
+        if (numbers := upper.tobytes()) != self._last:
+            self._last = numbers
+            self._data.qpos[self._places] = upper
+            self._evaluate()
+
+    def _evaluate(self) -> None:
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_comPos(self._model, self._data)

@@ -1,1 +1,1 @@
-"""The QP: objective, elimination, solution."""
+"""QP: objective, elimination, solution."""

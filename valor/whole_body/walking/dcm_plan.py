@@ -1,14 +1,13 @@
-"""The DCM's plan over a sequence of footholds.
+"""DCM plan over a sequence of footholds.
 
-The virtual repellent point v moves piecewise linearly in time: it rests over the stance foot while the other swings,
-and goes from foot to foot while both stand. Over a piece of length T, in which v goes from v₀ to v₁ at v̇ = (v₁ − v₀)/T,
-the DCM that ends it at ξ_T is (Englsberger, Ott & Albu-Schäffer 2015, the solution of ξ̇ = ω·(ξ − v))
+The virtual repellent point v moves piecewise linearly in time: it rests over the stance foot during a swing and moves
+from foot to foot in double support. Over a piece of length T, with v from v₀ to v₁ at v̇ = (v₁ − v₀)/T, the DCM that
+ends it at ξ_T is (Englsberger, Ott & Albu-Schäffer 2015, the solution of ξ̇ = ω·(ξ − v))
 
     ξ(t) = v(t) + v̇/ω + e^{ω(t − T)}·(ξ_T − v₁ − v̇/ω)
 
-so a plan that ends at rest, ξ = v, is known backwards from its end. Where it begins is then no longer free: ξ(0)
-is some weighted mean of all v to come. To begin at a given DCM all the same, the first knot after the start gives way:
-ξ(0) is linear in it.
+A plan that ends at rest, ξ = v, is thus computed backwards, and its start ξ(0) is a weighted mean of all later v. To
+start at a given DCM, the first knot after the start is displaced: ξ(0) is linear in it.
 """
 
 from __future__ import annotations
@@ -19,16 +18,11 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 
-FIRST = slice(1, 2)  # knot after the start
+FIRST = slice(1, 2)  # Knot after the start
 
 
 class DcmPlan:
-    """DCM and VRP over time, from a given DCM and VRP to rest.
-
-    Attributes:
-        duration: of the plan [s].
-        knots: (n+1, 3) the VRP's, the first after the start moved so that the plan begins at the DCM given [m].
-    """
+    """DCM and VRP over time, from a given DCM and VRP to rest."""
 
     def __init__(
         self,
@@ -40,23 +34,19 @@ class DcmPlan:
         *,
         most: float = inf,
     ) -> None:
-        """Plan.
+        """Plan for ω [1/s], from (3,) the DCM at the start [m].
 
-        Args:
-            omega: ω [1/s].
-            durations: (n,) of the pieces, n ≥ 2, above 0 [s].
-            knots: (n+1, 3) of the VRP, where the pieces begin and end [m]; the DCM rests at the last.
-            dcm: (3,) at the start [m].
-            giving: the knots that give way, all alike.
-            most: that they may give way, in the plane [m]; what is beyond it makes the plan begin elsewhere.
+        ``durations`` (n,) of the pieces, n ≥ 2, above 0 [s], have (n+1, 3) VRP ``knots`` at their ends [m]; the DCM
+        rests at the last. The knots ``giving`` are displaced, all alike, in the plane by at most ``most`` [m]; for more
+        the plan starts at another DCM.
         """
         self._omega = omega
         self._durations = durations
-        self.duration = sum(durations)
+        self.duration = sum(durations)  # duration of the plan [s]
         influence = np.zeros((len(durations) + 1, 1))
         influence[giving] = 1.0
         weight = float(self._backward(influence)[0, 0])
-        self.knots = knots.copy()
+        self.knots = knots.copy()  # (n+1, 3) VRP, displaced so that the plan starts at the given DCM [m]
         shift = (dcm - self._backward(knots)[0]) / weight
         if (length := hypot(shift[0], shift[1])) > most:
             shift[:2] *= most / length
@@ -66,7 +56,7 @@ class DcmPlan:
         self._last = len(durations) - 1
 
     def _backward(self, knots: FloatArray) -> FloatArray:
-        """(n+1, …) the DCM at the knots, at rest at the last."""
+        """(n+1, …) DCM at the knots, at rest at the last."""
         dcm = np.empty_like(knots)
         dcm[-1] = knots[-1]
         for i in range(len(self._durations) - 1, -1, -1):
@@ -76,15 +66,15 @@ class DcmPlan:
         return dcm
 
     def at_end(self, piece: int) -> tuple[FloatArray, FloatArray]:
-        """(3,) DCM and (3,) VRP [m] where a piece ends."""
+        """Return (3,) DCM and (3,) VRP [m] at the end of a piece."""
         return self._dcm[piece + 1], self.knots[piece + 1]
 
     def hold(self, piece: int) -> None:
-        """Let no piece begin after this one: its VRP goes on resting where it ends, and the DCM moves away from it."""
+        """Start no piece after this one: the VRP rests at its end, and the DCM diverges from it."""
         self._last = piece
 
     def at(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """(3,) DCM and (3,) VRP [m] at ``time`` [s] since the start, which never goes back between calls."""
+        """Return (3,) DCM and (3,) VRP [m] at ``time`` [s] since the start; it must not decrease between calls."""
         while self._piece < self._last and time > self._began + self._durations[self._piece]:
             self._began += self._durations[self._piece]
             self._piece += 1

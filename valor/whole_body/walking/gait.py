@@ -1,10 +1,10 @@
-"""The gait: transfer the weight, swing a foot, transfer, swing, … until there are no more steps, then stand.
+"""Gait: transfer of weight, swing, transfer, swing, … until there are no more steps, then rest.
 
     at rest ─► transfer ─► swing ─► transfer ─► swing ─► … ─► last transfer ─► at rest
 
-Steps are asked for when a transfer begins, and the DCM is planned anew from where its reference is, over the soles as
-they really stand: so a plan may change with every step, and a foot that came down elsewhere is no error any more. What
-is planned for later is forgotten by the DCM with e^{−ωt}; three steps ahead are enough.
+Steps are requested when a transfer starts, and the DCM is planned from its reference over the measured soles: a plan
+may change with every step, and a foot at another position is no error any more. Later steps affect the DCM by e^{−ωt};
+three steps ahead are enough.
 """
 
 from __future__ import annotations
@@ -23,79 +23,59 @@ from valor.robot.size import ESCHER
 from valor.whole_body.state import RobotState
 from valor.whole_body.tuning_tables import Tuning
 from valor.whole_body.walking.dcm_plan import DcmPlan
-from valor.whole_body.walking.footsteps import Step, StepSource
-from valor.whole_body.walking.recovery import RecoverySteps
+from valor.whole_body.walking.footsteps import RecoverySteps, Step, StepSource
 from valor.whole_body.walking.step_guard import StepGuard
 from valor.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
 
-AHEAD = 3  # steps planned
-HIPS_AHEAD = 0.05  # of midway between the feet when the rear one leaves the ground, by ESCHER's leg [m]
-QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # share of the depth at full speed; how soon it grows to all of it below that
-SHORTEST_PIECE = 0.01  # of a plan [s]
-FOLLOWED = 1e-3  # moves of a late foot's foothold below it are none [m]
-MOST_LOWERED = 0.12  # the CoM, whatever the step, by ESCHER's leg [m]
-EARLY = 0.15  # of a swing's duration: a foot that was found in the air may be about to land
-LOWERING = 8.0  # with which it is lowered for a step that goes further than planned [1/s]
+AHEAD = 3  # Steps planned
+HIPS_AHEAD = 0.05  # Hips ahead of the middle of the feet when the rear foot lifts, for ESCHER's leg [m]
+QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # Fraction of the depth at full speed; rate of its growth below that
+SHORTEST_PIECE = 0.01  # Shortest piece of a plan [s]
+FOLLOWED = 1e-3  # Smallest move of a late foot's foothold [m]
+MOST_LOWERED = 0.12  # Largest lowering of the CoM, for ESCHER's leg [m]
+EARLY = 0.15  # Fraction of the swing before which a foot found in the air cannot have landed
+LOWERING = 8.0  # Rate of lowering for a step longer than planned [1/s]
 
 
 class Gait:
-    """Where DCM and feet shall be while the robot steps.
-
-    Attributes:
-        active: whether it steps; the rest is of meaning only then.
-        dcm: (3,), vrp: (3,) references in odom, of a robot with nominal arms [m].
-        load: (2,) how much each foot may push: 0 not at all, 1 as it likes.
-        swinging: the foot in the air, or None.
-        swing: where it shall be.
-        foothold: where it shall come down, or None.
-        source: of the steps.
-    """
+    """References of DCM and feet while the robot steps."""
 
     def __init__(self, robot: RobotDescription, omega: float, com_height: float) -> None:
-        """Args: omega: ω [1/s]. com_height: of the CoM above the soles [m]."""
         self._table, self._omega = robot.tables.walking, omega
         feet = robot.tables.feet
         self._centres = [np.array(((foot.heel + foot.toe) / 2.0, 0.0, 0.0)) for foot in (feet.left, feet.right)]
         self._toes = (feet.left.toe, feet.right.toe)
         self._height = np.array((0.0, 0.0, com_height))
-        self.source: StepSource
+        self.source: StepSource  # source of the steps
         self._step: Step | None = None
         self._plan: DcmPlan
         self._guard = StepGuard(robot, omega)
         self._trajectory: SwingTrajectory
         self._time = 0.0  # since the transfer began [s]
-        self._transfer = 0.0  # duration of it [s]
-        self._resting = 0  # the plan's piece in which the VRP rests over the next stance foot
-        self._early = 0.0  # that the last foot came down before its time [s]
+        self._transfer = 0.0  # its duration [s]
+        self._resting = 0  # piece of the plan with the VRP over the next stance foot
+        self._early = 0.0  # by how much the last foot was early [s]
         self._landed: int | None = None
-        self._sways = True  # before the first step
-        self._earliest = 0.0  # of the swing's duration: the foot may have landed
+        self._sways = True  # whether the robot sways before the first step
+        self._earliest = 0.0  # fraction of the swing before which landing is ignored
         size = robot.tables.size.leg / ESCHER.leg
         self._hips_ahead, self._most_lowered = size * HIPS_AHEAD, size * MOST_LOWERED
-        # Feet that stand farther apart than ESCHER's would are below hips that are so: no leg leans for that.
+        # Feet wider apart than ESCHER's are below wider hips: no leg leans for that.
         self._wide = max(0.0, self._table.step_width - size * Walking().step_width)
         self._giving = robot.read(Tuning).disturbance.giving
         self._planned_lowering = 0.0  # of the CoM over the stance foot [m]
-        self._lower = self._lowered = 0.0  # by how much more it shall be, and is, for a step that was adjusted [m]
-        self.active = False
-        self.dcm, self.vrp = np.zeros(3), np.zeros(3)
-        self.load = np.ones(2)
-        self.swinging: int | None = None
-        self.swing: SwingPoint
-        self.foothold: SolePose | None = None
+        self._lower = self._lowered = 0.0  # additional target and actual lowering for an adjusted step [m]
+        self.active = False  # whether it steps; the other attributes are valid only then
+        self.dcm, self.vrp = np.zeros(3), np.zeros(3)  # references in odom for nominal arms [m]
+        self.load = np.ones(2)  # (2,) permitted load of each foot, from 0 (none) to 1 (unlimited)
+        self.swinging: int | None = None  # foot in the air, or None
+        self.swing: SwingPoint  # its reference
+        self.foothold: SolePose | None = None  # its target, or None
 
     def start(
         self, state: RobotState, source: StepSource, dcm: FloatArray, vrp: FloatArray, *, urgent: bool = False
     ) -> bool:
-        """Begin to step from rest if the source has steps.
-
-        Args:
-            state: the robot's.
-            source: of the steps.
-            dcm: (3,) reference of standing, which the gait goes on from [m].
-            vrp: (3,) likewise [m].
-            urgent: at once, without swaying aside first: the DCM is elsewhere anyway, and the step goes there.
-        """
+        """Start if the source has steps, from (3,) references of standing [m]; ``urgent``: without swaying first."""
         steps = source.upcoming(sole_poses(state))
         if not steps:
             return False
@@ -108,14 +88,7 @@ class Gait:
         return True
 
     def recover(self, state: RobotState, source: RecoverySteps, dcm: FloatArray, vrp: FloatArray) -> None:
-        """Begin to step at once, with the foot that keeps the balance better.
-
-        Args:
-            state: the robot's, with both feet on the ground.
-            source: of the steps.
-            dcm: (3,) measured, were its arms nominal [m].
-            vrp: (3,) reference [m].
-        """
+        """Start stepping at once with the cheaper foot; (3,) ``dcm`` measured, ``vrp`` reference, nominal arms [m]."""
         if self.active:
             self.source.rested()
 
@@ -127,14 +100,7 @@ class Gait:
         begin(min((LEFT, RIGHT), key=begin))
 
     def catch(self, state: RobotState, source: RecoverySteps, foot: int, dcm: FloatArray) -> None:
-        """Go on from a robot that is found with a foot in the air: that foot comes down where the DCM needs it.
-
-        Args:
-            state: the robot's.
-            source: of the steps.
-            foot: in the air.
-            dcm: (3,) measured, were its arms nominal [m].
-        """
+        """Start with a foot in the air, and lower it where the DCM needs it; ``dcm`` (3,) as in ``recover``."""
         source.lead(foot)
         soles = sole_poses(state)
         step, *others = source.upcoming(soles)
@@ -149,28 +115,22 @@ class Gait:
 
     @property
     def stepping(self) -> int | None:
-        """The foot whose step is under way, in the air or about to be; None: the robot rests, or sways from rest."""
+        """Foot of the step under way, in the air or before; None at rest, or while swaying from rest."""
         return None if self._step is None or self._sways else self._step.foot
 
     @property
     def resting(self) -> bool:
-        """Whether no step is under way or to come: both feet stand, and stay."""
+        """True if no step is under way or to come."""
         return self._step is None
 
     def stop(self) -> None:
-        """Forget everything: somebody else has the legs."""
+        """End the gait at once."""
         self.active = False
         self.swinging = self.foothold = self._step = None
         self.load[:] = 1.0
 
     def update(self, state: RobotState, dcm: FloatArray, dt: float) -> None:
-        """One period.
-
-        Args:
-            state: the robot's.
-            dcm: (3,) its DCM, were its arms nominal [m].
-            dt: since the last period [s].
-        """
+        """Advance one period of ``dt`` [s]; ``dcm`` (3,) as in ``recover`` [m]."""
         self._time += dt
         if self.swinging is None:
             if self._time >= self._transfer:
@@ -194,7 +154,7 @@ class Gait:
     # --- phases ---------------------------------------------------------------------------------------------------
 
     def _begin_transfer(self, state: RobotState, steps: Sequence[Step], shortest: float = 0.0) -> None:
-        """Towards the next step, or to rest."""
+        """Start the transfer to the next step, or to rest."""
         self._time = self._lower = self._lowered = 0.0
         if steps:
             self._step, self.foothold = steps[0], steps[0].sole
@@ -218,15 +178,15 @@ class Gait:
             )
 
     def _plan_dcm(self, soles: list[SolePose], steps: Sequence[Step]) -> None:
-        """The VRP's knots over the soles as they stand and will stand, and the DCM through them."""
+        """Plan the DCM with the VRP's knots over present and coming soles."""
         durations, knots = [], [self.vrp]
         early = self._early if self._early > SHORTEST_PIECE else 0.0
-        if early:  # the VRP stays for as long as it was to stay
+        if early:  # the VRP stays for its planned duration
             durations.append(early)
             knots.append(self.vrp)
         first = len(durations)
         poses = list(soles)
-        lowered = 0.0  # by what the step before asks for
+        lowered = 0.0  # lowering for the step before
         for i, step in enumerate(steps[:AHEAD]):
             stance = self._over(poses[1 - step.foot], 1 - step.foot)
             before, lowered = lowered, self._lowering(poses[1 - step.foot], step.sole)
@@ -256,28 +216,25 @@ class Gait:
         over_stance, sway = slice(self._resting, self._resting + 2), slice(first + 1, first + 2)
         if self._sways or not steps:
             giving, most = sway, inf
-        else:  # all over the next stance, as far as its sole can push: the rest is for the steps to make good
+        else:  # over the next stance within its sole; later steps correct the rest
             giving, most = over_stance, 0.0 if self._landed is None else self._giving
         self._plan = DcmPlan(self._omega, durations, np.array(knots), self.dcm, giving, most=most)
-        if steps:  # a foot that is late must be waited for
+        if steps:  # wait for a late foot
             self._plan.hold(self._resting)
 
     def _over(self, sole: SolePose, foot: int) -> FloatArray:
-        """(3,) the VRP over the middle of a sole, in odom [m]."""
+        """(3,) VRP over the middle of a sole, in odom [m]."""
         place: FloatArray = sole.position + sole.rotation @ self._centres[foot] + self._height
         return place
 
     def _depth(self, duration: float) -> float:
-        """How far below its foothold a foot is led [m]: a quick one has no time to be early for holes."""
+        """Depth of a swing below its foothold [m], less for a fast one."""
         table = self._table
         ease = (duration - table.fast_swing_duration) / (table.swing_duration - table.fast_swing_duration)
         return table.touchdown_depth * min(1.0, max(QUICK_DEPTH, UNHURRIED * ease))
 
     def _lowering(self, one: SolePose, other: SolePose) -> float:
-        """How much lower than nominal the CoM must be so that no leg is stretched further than its reach [m].
-
-        Weight goes from foot to foot with the hips about midway, and half of a difference in height still to go.
-        """
+        """Lowering of the CoM that keeps the legs within their reach; in transfer the hips are midway [m]."""
         table = self._table
         x, y, z = map(float, other.position - one.position)
         away = 0.5 * hypot(x, max(0.0, abs(y) - self._wide)) + self._hips_ahead
@@ -301,7 +258,7 @@ class Gait:
         )
 
     def _give_way(self, state: RobotState, dcm: FloatArray, step: Step) -> None:
-        """Take the step elsewhere, or at another time, where the DCM needs it."""
+        """Adjust foothold and time of the step to the DCM."""
         guard, time = self._guard, self._time
         swinging = self.swinging is not None
         found = guard.update(time, self._transfer, sole_poses(state)[step.foot], dcm - self.dcm)
@@ -317,23 +274,20 @@ class Gait:
         if guard.adjusted is not None and swinging:
             assert self._step is not None
             left = self._transfer + self._step.swing_duration - time
-            self.dcm[:2], self.vrp[:2] = guard.reference(left)[:2], guard.centre[:2]  # heights are the plan's
+            self.dcm[:2], self.vrp[:2] = (
+                guard.reference(left)[:2],
+                guard.situation.centre[:2],
+            )  # heights stay as planned
 
     def _sink(self, dt: float) -> None:
-        """Lead the CoM lower than planned, as far as the step asks for: ξ_z and its VRP go on to belong together."""
+        """Lower the CoM further than planned for an adjusted step, DCM and VRP consistently."""
         rate = LOWERING * (self._lower - self._lowered)
         self._lowered += rate * dt
         self.dcm[2] -= self._lowered
         self.vrp[2] -= self._lowered - rate / self._omega
 
     def _wait(self, before: FloatArray, dcm: FloatArray, dt: float) -> None:
-        """The foot is late: slow the DCM's reference down, and lead the foot along with the DCM.
-
-        Args:
-            before: (3,) the reference a period ago [m].
-            dcm: (3,) its DCM, were its arms nominal [m].
-            dt: since then [s].
-        """
+        """Slow the DCM reference, last at ``before``, while the foot is late, and move the foot with the DCM."""
         guard, step, time = self._guard, self._step, self._time - self._transfer
         assert step is not None
         self.vrp[:2] = guard.late_vrp(before)[:2]
@@ -363,7 +317,6 @@ class Gait:
         self._begin_transfer(state, self.source.upcoming(sole_poses(state)))
 
     def _feet(self) -> None:
-        """Who may push, and where the swinging foot shall be."""
         self.load[:] = 1.0
         if self.swinging is not None:
             self.load[self.swinging] = 0.0
@@ -378,5 +331,5 @@ class Gait:
 
 
 def sole_poses(state: RobotState) -> list[SolePose]:
-    """Left and right, as they are."""
+    """Return the estimated soles, left and right."""
     return [SolePose(state.sole_positions_in_odom[i], state.sole_rotations_in_odom[i]) for i in (LEFT, RIGHT)]

@@ -1,47 +1,239 @@
-"""Watches over the step that is being taken: when the DCM leaves its plan too far, another foothold and time.
+"""Step adjustment: foothold and touchdown time of the step under way, from the measured DCM, by a small QP.
 
-A step is left alone while the error is small: the CoP makes good for that. From then on until shortly before touchdown,
-foothold and time follow the DCM every period (``step_adjustment``), and so does the DCM's reference,
-ξ(t) = c + (ξ_td − c)·e^{ω(t − T)} with the VRP c over the stance foot. While weight is still being transferred the
-foothold alone follows.
+A step stays as planned while the DCM error is small. Above a threshold, until shortly before touchdown, foothold and
+time follow the DCM every period, as does its reference ξ(t) = c + (ξ_td − c)·e^{ω(t − T)} with the VRP c over the
+stance foot. During the transfer of weight only the foothold follows. If the foot is late, the DCM moves on: the CoP
+follows it to the edge of the stance sole, which slows it, and the foothold moves by ξ' = ξ_td + α·Δs (below).
 
-A foot that finds no ground when it should is late, and the DCM does not wait: it moves on, away from the stance foot.
-The CoP under that foot goes after it, to the sole's edge, which slows it down; and the foothold moves on with it, by
-the ξ' = ξ_td + α·Δs of ``step_adjustment``: the foot comes down where the DCM needs it then.
+Over the time T left to touchdown the stance foot's VRP c repels the DCM: an error e grows to e·e^{ωT}, so that the
+planned timing leads to ξ_p = ξ_td + e·e^{ωT}, with ξ_td the planned DCM at touchdown. Other choices give
+
+    ξ' = c + (ξ_p − c)·r + d        r = e^{ωΔT} for touchdown later by ΔT;  |d| ≤ l·(r·e^{ωT} − 1) for CoPs within ± l
+
+The plan continues from a foothold moved by Δs, later steps moved alike, if ξ' = ξ_td + α·Δs. The residual is the
+error b of the next swing's first DCM:
+
+    β·b = ξ' − ξ_td − α·Δs          β = e^{−ωT_d},  α = (1 − β)/(ωT_d),  T_d the transfer of weight after the step
+
+This is linear in (s, r, d), with time among the unknowns (Khadiv, Herzog, Moosavian & Righetti 2020, "Walking control
+based on step timing adaptation", for point feet; here with the CoP's reach and double support):
+
+    min  w_s·‖Δs‖² + w_t·((r − 1)/ω)² + w_b·‖b‖² + w_d·‖d/(e^{ωT} − 1)‖²   s within reach, r within the foot's speed
+
+Without an error the plan is the optimum. CasADi evaluates the matrices; DAQP solves the QP.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import exp, inf
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import cos, exp, hypot, inf, isfinite, log, sin
+from typing import Any
 
+import casadi as ca
+import daqp
 import numpy as np
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
+from valor.robot.footsteps import LEFT
 from valor.whole_body.tuning_tables import Tuning
 from valor.whole_body.walking.footsteps import Step
-from valor.whole_body.walking.step_adjustment import Adjustment, Situation, StepAdjuster, transfer_gain
 from valor.whole_body.walking.swing import SolePose
+
+UNBOUNDED = 1e30  # No bound, for the solver
+PEAK = 1.875  # Ratio of peak to mean speed of a minimum-jerk motion
+UNKNOWNS = 5  # s (2), r, d (2)
+PARAMETERS = 14
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """Step under way, as planned and as measured."""
+
+    step: Step  # as planned
+    stance: SolePose  # the other foot
+    swing: SolePose  # the foot of the step, where it is
+    centre: FloatArray  # (3,) c, the VRP over the stance foot [m]
+    dcm_error: FloatArray  # (3,) measured less planned DCM [m]
+    landing_dcm: FloatArray  # (3,) ξ_td, planned DCM at touchdown [m]
+    left: float  # T: until touchdown, as planned [s]
+    least: float  # least permitted T [s]
+    transfer: float  # T_d: transfer of weight after the step [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Adjustment:
+    """Adjusted step."""
+
+    foothold: FloatArray  # (3,) of the sole in odom [m]
+    left: float  # until touchdown [s]
+    landing_dcm: FloatArray  # (3,) DCM at touchdown for the foothold [m]
+    cost: float  # cost of the QP [1]
+
+
+def transfer_gain(spread: float) -> float:
+    """Return α, displacement of the DCM at touchdown per that of the foothold; ``spread`` is ω·T_d > 0."""
+    return (1.0 - exp(-spread)) / spread
+
+
+class StepAdjuster:
+    """Solves the QP of a step."""
+
+    def __init__(self, robot: RobotDescription, omega: float) -> None:
+        assert robot.tables.footsteps is not None
+        self._reach, self._table, self._omega = robot.tables.footsteps, robot.read(Tuning).disturbance, omega
+        feet, inset = robot.tables.feet, robot.read(Tuning).whole_body.contact_inset
+        share = self._table.cop_share
+        # Usable reach of the CoP from the middle of each sole, forward and sideways [m].
+        self.cop = [
+            (share * (0.5 * (foot.toe - foot.heel) - inset), share * (foot.half_width - inset))
+            for foot in (feet.left, feet.right)
+        ]
+        self._sole_length = feet.left.toe - feet.left.heel
+        self._parameters = np.zeros(PARAMETERS)
+        self._hessian = np.zeros((UNKNOWNS, UNKNOWNS))
+        self._gradient = np.zeros(UNKNOWNS)
+        self._constant = np.zeros(1)
+        self._evaluate = self._problem()
+        self._rows = np.zeros((6, UNKNOWNS))
+        self._upper, self._lower = np.full(11, UNBOUNDED), np.full(11, -UNBOUNDED)
+
+    def _problem(self) -> Callable[[], None]:
+        """Matrices of the objective as a function of the parameters, bound to the arrays of this object."""
+        table = self._table
+        z, p = ca.SX.sym("z", UNKNOWNS), ca.SX.sym("p", PARAMETERS)
+        s, r, d = z[0:2], z[2], z[3:5]
+        planned, reached, predicted = p[0:2], p[2:4], p[4:6]  # foothold; ξ_td − c; ξ_p − c
+        growth, alpha, beta, omega = p[6], p[7], p[8], p[9]
+        offset = (predicted * r + d - reached - alpha * (s - planned)) / beta
+        cost = (
+            table.foothold_weight * ca.sumsqr(s - planned)
+            + table.time_weight * ((r - 1.0) / omega) ** 2
+            + table.offset_weight * ca.sumsqr(offset)
+            + table.cop_weight * ca.sumsqr(d / (growth - 1.0))
+        )
+        hessian, gradient = ca.hessian(cost, z)
+        at_zero = ca.substitute(ca.vertcat(gradient, cost), z, ca.DM.zeros(UNKNOWNS))
+        function = ca.Function(
+            "adjustment", [p], [ca.densify(hessian), ca.densify(at_zero[:UNKNOWNS]), ca.densify(at_zero[UNKNOWNS])]
+        )
+        buffer: Any  # casadi's stubs know only the call with sizes
+        buffer, evaluate = function.buffer()
+        buffer.set_arg(0, self._parameters.data)
+        for i, result in enumerate((self._hessian, self._gradient, self._constant)):
+            buffer.set_res(i, result.data)
+        self._buffer = buffer  # keeps the buffers of ``evaluate`` alive
+        fill: Callable[[], None] = evaluate
+        return fill
+
+    def adjust(self, situation: Situation) -> Adjustment | None:
+        """Return the best foothold and time; None if numbers are not finite or the solver fails."""
+        step, stance, omega = situation.step, situation.stance, self._omega
+        yaw = rotation.yaw(stance.rotation)
+        c, s = cos(yaw), sin(yaw)
+        ox, oy, _ = stance.position.tolist()
+
+        def in_heading(vector: list[float]) -> tuple[float, float]:
+            x, y, _ = vector
+            return c * x + s * y, c * y - s * x
+
+        error, centre, landing = situation.dcm_error, situation.centre, situation.landing_dcm
+        ex, ey = in_heading(error.tolist())
+        if not isfinite(ex + ey):
+            return None
+        lx, ly = in_heading((landing - centre).tolist())
+        nx, ny = in_heading((step.sole.position - stance.position).tolist())
+        fx, fy = in_heading((situation.swing.position - stance.position).tolist())
+        left = situation.left
+        growth = exp(omega * left)
+        spread = omega * situation.transfer
+        self._parameters[:10] = (
+            nx, ny, lx, ly, lx + ex * growth, ly + ey * growth,
+            growth, transfer_gain(spread), exp(-spread), omega,
+        )  # fmt: skip
+        self._evaluate()
+        self._bound(situation, planned=(nx, ny), foot=(fx, fy), growth=growth)
+        z, _, flag, _ = daqp.solve(self._hessian, self._gradient, self._rows, self._upper, self._lower)
+        if flag < 1:
+            return None
+        x, y, ratio, _, _ = z.tolist()
+        if not isfinite(x + y + ratio):
+            return None
+        cost = float(0.5 * z @ self._hessian @ z + self._gradient @ z + self._constant[0])
+        alpha = self._parameters[7]
+        mx, my = c * (x - nx) - s * (y - ny), s * (x - nx) + c * (y - ny)
+        foothold = np.array((ox + c * x - s * y, oy + s * x + c * y, step.sole.position[2]))
+        reached = landing + alpha * np.array((mx, my, 0.0))
+        return Adjustment(foothold, left + log(ratio) / omega, reached, cost)
+
+    def within_reach(self, step: Step, stance: SolePose, foothold: FloatArray) -> FloatArray:
+        """Return (3,) the permitted foothold nearest to ``foothold``, at the planned height, in odom [m]."""
+        heading = rotation.yaw_matrix(rotation.yaw(stance.rotation))
+        planned = heading.T @ (step.sole.position - stance.position)
+        place = heading.T @ (foothold - stance.position)
+        for i, (low, high) in enumerate(self._box(step, stance, planned[:2].tolist())):
+            place[i] = min(max(place[i], low), high)
+        place[2] = planned[2]
+        result: FloatArray = stance.position + heading @ place
+        return result
+
+    def _box(self, step: Step, stance: SolePose, planned: Sequence[float]) -> list[tuple[float, float]]:
+        """Bounds forward and left of the stance foot of a step with a planned position there [m]."""
+        reach, table = self._reach, self._table
+        turn = abs(rotation.yaw(step.sole.rotation @ stance.rotation.T))
+        near = reach.min_width + table.clearance + 0.5 * self._sole_length * sin(min(turn, 1.0)), table.max_width
+        boxes = (
+            (-max(reach.max_backward, table.max_backward), reach.max_forward),
+            near if step.foot == LEFT else (-near[1], -near[0]),
+        )
+        most = step.adjustable
+        ends = [
+            (max(low, place - most), min(high, place + most)) for (low, high), place in zip(boxes, planned, strict=True)
+        ]
+        return [(min(pair), max(pair)) for pair in ends]
+
+    def _bound(
+        self, situation: Situation, *, planned: tuple[float, float], foot: tuple[float, float], growth: float
+    ) -> None:
+        """Set the bounds of reach, foot speed, time and CoP; positions from the stance foot [m], ``growth``: e^{ωT}."""
+        step, left = situation.step, situation.left
+        reach, table, omega = self._reach, self._table, self._omega
+        upper, lower, rows = self._upper, self._lower, self._rows
+        side = 1.0 if step.foot == LEFT else -1.0
+        way = table.foot_speed * left / PEAK
+        distance = 0.0
+        for i, (low, high) in enumerate(self._box(step, situation.stance, planned)):
+            # The planned foothold is always allowed; a distant foot goes as near as possible within reach.
+            lower[i] = min(max(low, foot[i] - way), high, planned[i])
+            upper[i] = max(min(high, foot[i] + way), low, planned[i])
+            distance = hypot(distance, planned[i] - foot[i])
+        soonest = min(left, max(situation.least, PEAK * distance / table.foot_speed))
+        lower[2], upper[2] = exp(omega * (soonest - left)), exp(omega * table.longest_delay)
+        lx, ly = self.cop[1 - step.foot]
+        # ± d − l·growth·r ≤ −l
+        for row, (i, length) in enumerate(((3, lx), (3, lx), (4, ly), (4, ly))):
+            rows[row, i] = 1.0 if row % 2 == 0 else -1.0
+            rows[row, 2] = -length * growth
+            upper[5 + row] = -length
+        # a long step is not a wide one: |x| + width within reach
+        for row, sign in ((4, 1.0), (5, -1.0)):
+            rows[row, 0], rows[row, 1] = sign, side
+            upper[5 + row] = max(reach.max_forward + table.diagonal_width, sign * planned[0] + side * planned[1])
 
 
 class StepGuard:
-    """One step after the other.
-
-    Attributes:
-        adjusted: the adjustment that holds, or None: the step is as planned.
-    """
+    """Adjusts the step under way."""
 
     def __init__(self, robot: RobotDescription, omega: float) -> None:
-        """Args: omega: ω [1/s]."""
         self._table, self._omega = robot.read(Tuning).disturbance, omega
         enabled = self._table.adjust_steps and robot.tables.footsteps is not None
         self._adjuster = StepAdjuster(robot, omega) if enabled else None
-        self._situation: Situation
+        self.situation: Situation  # of the planned step
         self._touchdown = 0.0
         self._guards = False
-        self.adjusted: Adjustment | None = None
+        self.adjusted: Adjustment | None = None  # None for the planned step
 
     def begin(
         self,
@@ -53,32 +245,16 @@ class StepGuard:
         touchdown: float,
         transfer: float,
     ) -> None:
-        """A step begins, with the transfer of weight.
-
-        Args:
-            step: as planned.
-            stance: the sole of the other foot.
-            centre: (3,) VRP over it [m].
-            landing_dcm: (3,) DCM planned for touchdown [m].
-            touchdown: planned, on the clock of ``update`` [s].
-            transfer: of weight, planned after the step [s].
-        """
+        """Start a planned step, with the transfer of weight; ``touchdown`` is on the clock of ``update`` [s]."""
         self.adjusted = None
         self._touchdown = touchdown
         self._guards = self._adjuster is not None and step.adjustable > 0.0
-        self._situation = Situation(
+        self.situation = Situation(
             step, stance, stance, centre, np.zeros(3), landing_dcm, left=touchdown, least=0.0, transfer=transfer
         )
 
     def update(self, time: float, lift_off: float, swing: SolePose, dcm_error: FloatArray) -> Adjustment | None:
-        """Another foothold or time; None: nothing changes.
-
-        Args:
-            time: now [s].
-            lift_off: when the foot leaves or left the ground [s].
-            swing: the sole that swings or will, as it is.
-            dcm_error: (3,) measured DCM less the planned one [m].
-        """
+        """Return a new foothold and time, or None without a change; ``time`` is now, ``lift_off`` of the foot [s]."""
         left, table = self._touchdown - time, self._table
         if not self._guards or left < table.final:
             return None
@@ -87,35 +263,27 @@ class StepGuard:
             return None
         assert self._adjuster is not None
         least = lift_off + table.shortest_swing - time if time >= lift_off else left
-        situation = replace(self._situation, swing=swing, dcm_error=dcm_error, left=left, least=max(least, table.final))
+        situation = replace(self.situation, swing=swing, dcm_error=dcm_error, left=left, least=max(least, table.final))
         found = self._adjuster.adjust(situation)
         if found is not None:
             self.adjusted = found
         return found
 
     def late_vrp(self, dcm: FloatArray) -> FloatArray:
-        """(3,) VRP that holds the DCM's reference back best, with the CoP in the stance sole, while the foot is late.
-
-        Args:
-            dcm: (3,) reference [m].
-        """
-        situation, adjuster = self._situation, self._adjuster
+        """Return (3,) VRP that slows (3,) the DCM reference most with the CoP in the stance sole; foot late [m]."""
+        situation, adjuster = self.situation, self._adjuster
         if adjuster is None:
             return situation.centre
         heading = rotation.yaw_matrix(rotation.yaw(situation.stance.rotation))
-        most = adjuster.cop_reach(1 - situation.step.foot)
+        most = adjuster.cop[1 - situation.step.foot]
         away = np.clip(heading[:2, :2].T @ (dcm - situation.centre)[:2], np.negative(most), most)
         vrp = situation.centre.copy()
         vrp[:2] += heading[:2, :2] @ away
         return vrp
 
     def late_foothold(self, dcm: FloatArray) -> FloatArray:
-        """(3,) of the sole, where a foot that is late shall come down, in odom, at the height planned [m].
-
-        Args:
-            dcm: (3,) measured [m].
-        """
-        situation, adjuster = self._situation, self._adjuster
+        """Return (3,) the foothold of a late foot in odom, at the planned height, for (3,) the measured DCM [m]."""
+        situation, adjuster = self.situation, self._adjuster
         step = situation.step
         foothold, landing = step.sole.position, situation.landing_dcm
         if self.adjusted is not None:
@@ -126,24 +294,15 @@ class StepGuard:
         return adjuster.within_reach(step, situation.stance, foothold + moved)
 
     def cost(self, dcm_error: FloatArray) -> float:
-        """What it takes to keep balance with this step, as it begins [1]; infinite: it cannot be adjusted.
-
-        Args:
-            dcm_error: (3,) measured DCM less the planned one [m].
-        """
+        """Return the QP's cost of the step at its start, inf if not adjustable; ``dcm_error`` (3,) as in ``update``."""
         if self._adjuster is None or not self._guards:
             return inf
-        found = self._adjuster.adjust(replace(self._situation, dcm_error=dcm_error, least=self._touchdown))
+        found = self._adjuster.adjust(replace(self.situation, dcm_error=dcm_error, least=self._touchdown))
         return inf if found is None else found.cost
 
-    @property
-    def centre(self) -> FloatArray:
-        """(3,) VRP over the stance foot [m]."""
-        return self._situation.centre
-
     def reference(self, left: float) -> FloatArray:
-        """(3,) the adjusted step's DCM [m] so long before its touchdown [s]."""
+        """Return (3,) DCM of the adjusted step [m], ``left`` [s] before touchdown."""
         assert self.adjusted is not None
-        centre = self._situation.centre
+        centre = self.situation.centre
         dcm: FloatArray = centre + (self.adjusted.landing_dcm - centre) * exp(-self._omega * max(left, 0.0))
         return dcm

@@ -1,9 +1,9 @@
-"""The path of a swinging foot: up and over, down to the ground, and on down until it touches.
+"""Trajectory of a swinging foot: up and over, down to the ground, and further down until it touches.
 
-What lies between the footholds is not known, but where one is higher than the other there is an edge somewhere, and
-it may be right before the toe or right behind the heel. So the foot goes up before it goes forward, and is there before
-it goes down: the more of it, the higher the step. It leaves the ground heel first then, turning about its toe: behind a
-body that climbs over the other leg, or sinks on it, a level foot would ask for more than the ankle's range.
+The ground between footholds is unknown; between different heights there is an edge, maybe right in front of the toe or
+behind the heel. The foot therefore rises before it moves forward, and arrives before it descends: more so the higher
+the step. It then leaves the ground heel first, rotating about its toe: behind a body that climbs or sinks over the
+other leg, a level foot would exceed the ankle's range.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import numpy as np
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 
-FOLLOWING = 0.06  # in which a late foot goes to its foothold's new place [s]
-HURRY = 4.0  # with which it gets quicker [m/s²]
-SHORTEST_RISE = 0.01  # to the apex; with less left the foot goes down from where it is [s]
-HIGH_STEP = 0.1  # the height between footholds, up or down, from which on … [m]
-LIFT = 0.2  # … this share of the time the foot goes only up, or only down
-LANDING = 0.1  # and this share at the end it only comes down, going up
-PEEL, MOST_PEELED = 4.0, 0.5  # toes down, of the foot that leaves: per height between footholds [rad/m], at most [rad]
-PEELED, LEVEL = 0.3, 0.75  # of the time, when it is turned most, and when it is level again
+FOLLOWING = 0.06  # Time in which a late foot moves to a new foothold [s]
+HURRY = 4.0  # Acceleration of a late foot [m/s²]
+SHORTEST_RISE = 0.01  # Shortest rise to the apex; with less time the foot descends at once [s]
+HIGH_STEP = 0.1  # Height between footholds from which LIFT and LANDING apply fully [m]
+LIFT = 0.2  # Fraction of the time with vertical motion only, at the start (up) or end (down)
+LANDING = 0.1  # Fraction of the time with vertical motion only, at the end of a step up
+PEEL, MOST_PEELED = 4.0, 0.5  # Pitch of the leaving foot, toes down: per height [rad/m], at most [rad]
+PEELED, LEVEL = 0.3, 0.75  # Fractions of the time of the largest pitch, and of level again
 
 
 @dataclass(slots=True)
 class SolePose:
-    """Where a sole is, in odom."""
+    """Pose of a sole in odom."""
 
     position: FloatArray  # (3,) [m]
     rotation: FloatArray  # (3, 3)
@@ -36,7 +36,7 @@ class SolePose:
 
 @dataclass(slots=True)
 class SwingPoint:
-    """Where a swinging sole shall be, in odom."""
+    """Reference of a swinging sole in odom."""
 
     position: FloatArray  # (3,) [m]
     rotation: FloatArray  # (3, 3)
@@ -45,23 +45,12 @@ class SwingPoint:
 
 
 class Quintic:
-    """The polynomial of fifth degree from a motion (position, velocity, acceleration) to steady motion elsewhere.
-
-    From rest to rest it is the minimum-jerk way (Flash & Hogan 1985).
-    """
+    """Polynomial of fifth degree from a motion to uniform motion; from rest, minimum jerk (Flash & Hogan 1985)."""
 
     def __init__(
         self, begin: FloatArray, end: FloatArray, began: float, duration: float, end_velocity: float = 0.0
     ) -> None:
-        """Plan.
-
-        Args:
-            begin: (3, k) position, velocity, acceleration at ``began``.
-            end: (k,) position, where it comes to.
-            began: [s].
-            duration: above 0 [s].
-            end_velocity: with which it comes there, of every component.
-        """
+        """Plan from (3, k) position, velocity and acceleration at ``began`` [s] to (k,) ``end`` and its velocity."""
         self._began, self.ends = began, began + duration
         t = duration
         position, velocity, acceleration = begin
@@ -80,7 +69,7 @@ class Quintic:
         )
 
     def at(self, time: float) -> FloatArray:
-        """(3, k) position, velocity and acceleration at ``time`` [s]; the ends' before ``began`` and after ``ends``."""
+        """Return (3, k) position, velocity and acceleration at ``time`` [s], clamped to ``began`` and ``ends``."""
         t = max(0.0, min(time, self.ends) - self._began)
         t2, t3 = t * t, t * t * t
         powers = (
@@ -93,20 +82,12 @@ class Quintic:
 
 
 class Hump:
-    """By way of a peak, at rest there, to an end; straight to the end when the peak is over."""
+    """Motion over a peak, at rest there, to an end; directly to the end after the peak."""
 
     def __init__(
         self, begin: FloatArray, began: float, *, peak: tuple[float, float], end: tuple[float, float], velocity: float
     ) -> None:
-        """Plan.
-
-        Args:
-            begin: (3, 1) position, velocity, acceleration at ``began``.
-            began: [s].
-            peak: position, and when it is there [s].
-            end: likewise.
-            velocity: with which it comes to the end.
-        """
+        """Plan from (3, 1) position, velocity and acceleration at ``began`` [s]; ends are positions and times [s]."""
         there, when = peak
         self._up: Quintic | None = None
         if when - began > SHORTEST_RISE:
@@ -115,13 +96,13 @@ class Hump:
         self._down = Quintic(begin, np.array((end[0],)), began, max(end[1] - began, SHORTEST_RISE), velocity)
 
     def at(self, time: float) -> FloatArray:
-        """(3, 1) position, velocity and acceleration at ``time`` [s]."""
+        """Return (3, 1) position, velocity and acceleration at ``time`` [s]."""
         up = self._up
         return up.at(time) if up is not None and time < up.ends else self._down.at(time)
 
 
 class SwingTrajectory:
-    """From rest to the ground: quintics in the plane and in orientation, humps of them in height and in peeling."""
+    """Swing from rest to the ground: quintics in the plane and orientation, humps in height and peeling."""
 
     def __init__(
         self,
@@ -135,21 +116,15 @@ class SwingTrajectory:
         late_descent: float = 0.0,
         toe: float = 0.0,
     ) -> None:
-        """Plan.
+        """Plan from pose to pose in ``duration`` [s], with the apex ``height`` above the higher of both [m].
 
-        Args:
-            start: of the sole.
-            target: of the sole.
-            height: of the apex above the higher of both [m].
-            duration: [s].
-            depth: below the target, that the foot is led to [m].
-            descent: speed at which it comes down there, and goes on down afterwards [m/s].
-            late_descent: that it gets to when it finds no ground there, if it is more [m/s].
-            toe: ahead of the sole's origin, about which it peels off when it goes high or low; 0: it does not [m].
+        The foot ends ``depth`` below the target [m] at the downward speed ``descent``, kept afterwards, and without
+        ground accelerates to ``late_descent`` [m/s]. It peels about its ``toe``, ahead of the sole's origin; 0: not
+        [m].
         """
         self._depth, self._descent, self._toe = depth, descent, toe
         self._late_descent = max(descent, late_descent)
-        self._hurries = (self._late_descent - descent) / HURRY  # until it has got that quick [s]
+        self._hurries = (self._late_descent - descent) / HURRY  # time until that speed [s]
         self._following: Quintic | None = None
         begin, end = float(start.position[2]), float(target.position[2])
         self._apex = max(begin, end) + height
@@ -165,15 +140,7 @@ class SwingTrajectory:
         self._plan(motion, np.zeros((3, 1)), start.rotation, target, (0.0, duration))
 
     def retarget(self, time: float, target: SolePose, duration: float) -> None:
-        """Go elsewhere, or be there at another time: from where the reference is, without a jump.
-
-        Position, velocity and acceleration go on; the way to the apex takes its share of the time that is left.
-
-        Args:
-            time: now, since the start [s].
-            target: of the sole.
-            duration: of the whole swing, later than now [s].
-        """
+        """Change end pose and duration of the complete swing [s] at ``time`` [s] since the start, without a jump."""
         motion, peel = self._flat(time), self._peeling.at(time)
         start = rotation.from_rotation_vector(motion[0, 3:]) @ self._start
         motion[0, 3:] = 0.0
@@ -185,18 +152,13 @@ class SwingTrajectory:
         self._plan(motion, peel, start, target, (time, duration))
 
     def follow(self, time: float, position: FloatArray) -> None:
-        """Go aside while coming down late, without a jump.
-
-        Args:
-            time: now, after the swing's end [s].
-            position: (3,) to come down at, in odom; its height is of no meaning [m].
-        """
+        """Move a late foot over (3,) ``position`` in odom [m], from ``time`` [s], without a jump."""
         self._following = Quintic(self._flat(time)[:, :2], position[:2], time, FOLLOWING)
 
     def _plan(
         self, motion: FloatArray, peel: FloatArray, start: FloatArray, target: SolePose, times: tuple[float, float]
     ) -> None:
-        """From ``motion`` (3, 6), with its angles from ``start`` (3, 3), and ``peel`` (3, 1), from now to the end."""
+        """Plan from now to the end: from ``motion`` (3, 6), angles from ``start`` (3, 3), and ``peel`` (3, 1)."""
         time, duration = times
         end = np.empty(6)
         end[:3], end[3:] = target.position, rotation.rotation_vector(target.rotation @ start.T)
@@ -215,7 +177,7 @@ class SwingTrajectory:
         self._peeling = Hump(peel, time, peak=(self._peak, self._peaks), end=(0.0, LEVEL * duration), velocity=0.0)
 
     def _flat(self, time: float) -> FloatArray:
-        """(3, 6) the motion of the sole, were it not peeled off; angles as in ``_plan``."""
+        """(3, 6) motion of the sole without peeling; angles as in ``_plan``."""
         motion = self._horizontal.at(time)
         motion[:, 2] = self._vertical.at(time)[:, 0]
         if time > self._ends:
@@ -225,14 +187,14 @@ class SwingTrajectory:
         return motion
 
     def _late_at(self, late: float, z: float) -> tuple[float, float, float]:
-        """Height [m], speed [m/s], acceleration [m/s²] of a foot so late [s], which should have stood at z [m]."""
+        """Height [m], speed [m/s], acceleration [m/s²] of a foot ``late`` [s], expected at height z [m]."""
         speed, most, hurries = self._descent, self._late_descent, self._hurries
         if late < hurries:
             return z - (speed + 0.5 * HURRY * late) * late, -speed - HURRY * late, -HURRY
         return z - 0.5 * (speed + most) * hurries - most * (late - hurries), -most, 0.0
 
     def at(self, time: float) -> SwingPoint:
-        """The reference at ``time`` [s] since the start."""
+        """Return the reference at ``time`` [s] since the start."""
         motion = self._flat(time)
         turned = rotation.from_rotation_vector(motion[0, 3:]) @ self._start
         if self._peak:
@@ -242,7 +204,7 @@ class SwingTrajectory:
     def _add_peel(
         self, motion: FloatArray, turned: FloatArray, angle: float, rate: float, acceleration: float
     ) -> FloatArray:
-        """Turn the sole toes down, its origin raised so that the toe stays where it was; gives its rotation (3, 3)."""
+        """Pitch the sole in ``motion`` about its toe; return its rotation (3, 3)."""
         s, c = self._toe * sin(angle), self._toe * cos(angle)
         motion[:, 2] += (s, c * rate, c * acceleration - s * rate * rate)
         peel = rotation.from_rotation_vector(angle * self._axis)

@@ -1,14 +1,17 @@
-"""Walking by velocity: the steps that carry the robot at the velocity asked for.
+"""Walking by velocity: the steps that carry the robot at the commanded velocity.
 
-The robot's *middle* moves with the velocity from step to step, and each foot comes down half a step width beside it. To
-the side both feet of a pair of steps would meet, so the foot that leads takes the way of both, and the other closes up.
-Each step's velocity differs from the last one's by no more than a limit, and without word for a while it is zero.
+The robot's *middle*, midway between the feet, moves with the velocity from step to step; each foot comes down half a
+step width beside it. Sideways, the first foot of a pair moves by both feet's distance and the second closes up.
+The velocity changes by a limited amount a step, and is zero after a timeout.
 
-The ground is not seen: it is taken to go on as it went under the last feet (``ground``).
+Without vision, the ground ahead is the plane through the last footholds: a weighted least-squares fit, the latest
+counting most. Its slope is drawn towards zero (ridge regression), for a few footholds within a metre do not separate
+bumps from slope. The positions of feet tell more than their tilt, which follows the few centimetres under the edges.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from math import cos, inf, sin
 
@@ -19,19 +22,62 @@ from valor.common.arrays import FloatArray
 from valor.robot.footsteps import LEFT, RIGHT
 from valor.robot.motion_tables import Walking
 from valor.whole_body.walking.footsteps import Step, beside, level_pose, side_by_side
-from valor.whole_body.walking.ground import GroundPlane
 from valor.whole_body.walking.swing import SolePose
 
-STILL = np.array((1e-3, 1e-3, 1e-3))  # velocities below it are none [m/s, m/s, rad/s]
+FOOTHOLDS = 5  # Footholds stored
+FADING = 0.8  # Weight of a foothold relative to the next one
+LEVELNESS = 0.03  # Weight of level ground in the fit [m²]
+STEEPEST = 0.12  # Steepest accepted slope, along either axis
+
+
+class GroundPlane:
+    """Height of the ground over odom's x and y, from the footholds."""
+
+    def __init__(self) -> None:
+        self._footholds: deque[FloatArray] = deque(maxlen=FOOTHOLDS)
+        self._middle = np.zeros(3)
+        self._slope = np.zeros(2)
+
+    def forget(self) -> None:
+        """Clear the footholds."""
+        self._footholds.clear()
+        self._middle, self._slope = np.zeros(3), np.zeros(2)
+
+    def stand(self, soles: tuple[FloatArray, FloatArray], moved: bool) -> None:
+        """Update the plane from (3,) soles in odom [m], last mover second; ``moved``: a foot has stepped."""
+        feet = self._footholds
+        if len(feet) < 2:
+            feet.clear()
+            feet.extend(soles)
+        elif moved:
+            feet[-1] = soles[0]
+            feet.append(soles[1])
+        else:
+            feet[-2], feet[-1] = soles
+        self._fit()
+
+    def height(self, x: float, y: float) -> float:
+        """Return the height of the ground in odom [m]."""
+        mx, my, mz = self._middle.tolist()
+        sx, sy = self._slope.tolist()
+        return float(mz + sx * (x - mx) + sy * (y - my))
+
+    def _fit(self) -> None:
+        places = np.array(self._footholds)
+        weights = FADING ** np.arange(len(places) - 1.0, -1.0, -1.0)
+        self._middle = weights @ places / weights.sum()
+        places -= self._middle
+        ways, rises = places[:, :2], places[:, 2]
+        normal = ways.T @ (weights[:, None] * ways) + LEVELNESS * np.eye(2)
+        self._slope = np.clip(np.linalg.solve(normal, ways.T @ (weights * rises)), -STEEPEST, STEEPEST)
+
+
+STILL = np.array((1e-3, 1e-3, 1e-3))  # Velocities below count as zero [m/s, m/s, rad/s]
 AHEAD = 3  # steps
 
 
 class VelocitySteps:
-    """A ``StepSource`` that makes its steps on line.
-
-    Attributes:
-        velocity: (3,) of the step being taken: forward, left [m/s], turning [rad/s].
-    """
+    """``StepSource`` that plans steps from the commanded velocity."""
 
     def __init__(self, table: Walking) -> None:
         self._table = table
@@ -44,26 +90,26 @@ class VelocitySteps:
         self._last_foot: int | None = None
         self._next_velocity = np.zeros(3)
         self._ground = GroundPlane()
-        self._moved = False  # a foot, since the last steps were asked for
-        self.velocity = np.zeros(3)
+        self._moved = False  # whether a foot moved since the last request of steps
+        self.velocity = np.zeros(3)  # (3,) of the step under way: forward, left [m/s], turning [rad/s]
 
     def command(self, velocity: FloatArray, now: float) -> None:
-        """Walk so from now on: (3,) forward, left [m/s], turning [rad/s], clamped to what the robot can do."""
+        """Set (3,) the velocity forward, left [m/s], turning [rad/s], clamped to the robot's limits."""
         self._wanted = np.clip(velocity, self._lowest, self._highest)
         self._heard = self._now = now
 
     def advance(self, now: float) -> None:
-        """Robot time [s]: a command that is too old is a stop."""
+        """Advance to robot time [s]; an expired command becomes a stop."""
         self._now = now
         if now - self._heard > self._table.command_timeout:
             self._wanted = np.zeros(3)
 
     def stop(self) -> None:
-        """Do not walk any more."""
+        """Stop walking."""
         self._wanted = np.zeros(3)
 
     def durations(self, velocity: FloatArray) -> tuple[float, float]:
-        """Of swing and transfer [s] at a velocity: quick steps are short ones, which leave the knees bent."""
+        """Return durations of swing and transfer [s]: at speed steps are shorter in time, so that knees stay bent."""
         table = self._table
         forward = float(velocity[0])
         share = min(1.0, abs(forward) / table.full_speed)
@@ -75,7 +121,7 @@ class VelocitySteps:
     # --- StepSource -----------------------------------------------------------------------------------------------
 
     def upcoming(self, soles: Sequence[SolePose]) -> Sequence[Step]:
-        """The next steps; none when the robot shall stand and its feet are side by side."""
+        """Return the next steps; none for a robot that is to stand with its feet side by side."""
         velocity = self._changed(self.velocity)
         self._next_velocity = velocity
         foot = self._first(velocity) if self._last_foot is None else 1 - self._last_foot
@@ -92,39 +138,37 @@ class VelocitySteps:
         return steps
 
     def began(self, step: Step) -> None:
-        """The velocity of the first step is the robot's now."""
+        """Set the velocity to that of the started step."""
         self.velocity, self._last_foot = self._next_velocity, step.foot
 
     def ended(self, step: Step) -> None:
-        """Its foot tells of the ground."""
+        """Record that a foot moved."""
         self._moved = True
 
     def rested(self) -> None:
-        """The next walk begins with either foot."""
+        """Clear velocity, foot and ground."""
         self.velocity, self._last_foot = np.zeros(3), None
         self._ground.forget()
 
     # --- helpers --------------------------------------------------------------------------------------------------
 
     def _changed(self, velocity: FloatArray) -> FloatArray:
-        """The velocity of the step after one with ``velocity``."""
         new: FloatArray = velocity + np.clip(self._wanted - velocity, -self._change, self._change)
         return np.where(np.abs(new) < STILL, 0.0, new)
 
     @staticmethod
     def _first(velocity: FloatArray) -> int:
-        """The foot that leads."""
         _, left, turn = velocity.tolist()
         return LEFT if (left if left else turn) > 0.0 else RIGHT
 
     def _step(self, foot: int, stance: SolePose, velocity: FloatArray) -> Step:
-        """The step of ``foot`` from the other's place, at the velocity."""
+        """Step of ``foot`` from the other's position at the velocity."""
         table = self._table
         swing, transfer = self.durations(velocity)
         period = swing + transfer
         side = 1.0 if foot == LEFT else -1.0
         forward, lateral, turn = (velocity * period).tolist()
-        leads = max(0.0, 2.0 * lateral * side)  # the way of both steps, or none
+        leads = max(0.0, 2.0 * lateral * side)  # distance of both steps, or zero
         yaw = rotation.yaw(stance.rotation)
         # From the stance foot to the middle as it is, then with the velocity, then to the foot's side of it.
         x, y = 0.0, 0.5 * side * table.step_width
@@ -146,5 +190,4 @@ class VelocitySteps:
         )
 
     def _aligned(self, soles: Sequence[SolePose], foot: int) -> bool:
-        """Whether a step on the spot would not change much."""
         return side_by_side(soles[foot], beside(soles[1 - foot], foot, self._table.step_width))

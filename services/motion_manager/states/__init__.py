@@ -1,1 +1,0 @@
-"""Behaviors: the state machines as tables, and who walks them."""

@@ -1,0 +1,1 @@
+"""Commands: who may give them, and how they are sent."""

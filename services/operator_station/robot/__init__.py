@@ -1,0 +1,1 @@
+"""State of the robot, as received over ROS 2."""

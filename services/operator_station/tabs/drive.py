@@ -1,0 +1,241 @@
+"""Tab *Drive*: control modes, walking pad (drawn by ``keys.js``), and walking to a point on the floor."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from viser import GuiApi
+from viser._messages import RunJavascriptMessage
+
+from valor.common.behaviors import STEPPING_MODES, WALKING_MODES, ControlMode
+from valor.common.errors import RefusalError, ValorError
+from valor.operator_station.commands.log import Command
+from valor.operator_station.commands.queue import MOTION, UserEvent
+from valor.operator_station.robot.modes import Mode, Modes
+from valor.operator_station.scene.footfalls import StepPreview, floor_point, sole_poses, walk_to
+from valor.operator_station.tabs import Approval, StationContext, bounded, vector
+
+
+class ModeButtons:
+    """Buttons by mode, disabled until ``show``."""
+
+    def __init__(self, gui: GuiApi, modes: Modes, pressed: Callable[[str], Any]) -> None:
+        """``pressed`` returns the action of a mode's button."""
+        self._modes = modes
+        self.buttons = {name: gui.add_button(name, disabled=True) for name in modes.names}
+        for name, button in self.buttons.items():
+            button.on_click(pressed(name))
+
+    def show(self, mode: Mode, behavior: str) -> None:
+        """Enable the modes that are available, and label others with the reason."""
+        for name, button in self.buttons.items():
+            why = self._modes.why_not(name, mode, behavior)
+            label = f"{name}  ✓" if name == mode.current else f"{name} – {why}" if why else name
+            if (button.label, button.disabled) != (label, bool(why)):
+                button.label, button.disabled = label, bool(why)
+
+
+HELD = 0.3  # timeout of a held button [s]
+
+Velocity = tuple[float, float, float]  # forward, left [m/s], turning left [rad/s]
+
+DIRECTIONS: dict[str, Velocity] = {
+    "turn left": (0.0, 0.0, 1.0),
+    "forward": (1.0, 0.0, 0.0),
+    "turn right": (0.0, 0.0, -1.0),
+    "left": (0.0, 1.0, 0.0),
+    "back": (-1.0, 0.0, 0.0),
+    "right": (0.0, -1.0, 0.0),
+}
+FASTEST: Velocity = (0.4, 0.1, 0.3)  # at full speed [m/s, m/s, rad/s]
+STILL: Velocity = (0.0, 0.0, 0.0)
+
+
+@dataclass
+class Pad:
+    """Held direction, and ``speed`` as a fraction of ``FASTEST``."""
+
+    speed: float = 0.5
+    _direction: str = ""
+    _until: float = 0.0
+    _moves: bool = False
+
+    def hold(self, direction: str, now: float) -> bool:
+        """Note a held button at a monotonic time [s]; return whether it is newly pressed."""
+        began = not self._moves or direction != self._direction
+        self._direction, self._until, self._moves = direction, now + HELD, True
+        return began
+
+    def release(self) -> None:
+        """Release all buttons."""
+        self._until = 0.0
+
+    def velocity(self, now: float) -> Velocity | None:
+        """Return the velocity to send; None if no button is held and zero was sent."""
+        if not self._moves:
+            return None
+        if now >= self._until:
+            self._moves = False
+            return STILL
+        forward, left, turn = DIRECTIONS[self._direction]
+        return forward * FASTEST[0] * self.speed, left * FASTEST[1] * self.speed, turn * FASTEST[2] * self.speed
+
+
+SLOWEST = 0.1  # speed of the pad [fraction]
+FARTHEST = 1e4  # of a click [m]
+SEND = 0.1  # between velocities [s]
+SHOWN = 10.0  # largest displayed age of a velocity [s]
+
+
+class Drive:
+    """Controls of the tab."""
+
+    def __init__(self, parts: StationContext, modes: Modes) -> None:
+        client, desk = parts.client, parts.desk
+        self._desk, self._commander, self._heard, self._scene = desk, parts.commander, parts.heard, parts.scene
+        self._modes = modes
+        self.pad = Pad()
+        self._client = client
+        self._sent = 0.0
+        self._way: StepPreview | None = None
+        self._going: Command | None = None  # approved plan
+        gui = client.gui
+        with gui.add_folder("Control mode"):
+            self._buttons = ModeButtons(gui, modes, lambda name: desk.taking(self._changing(name)))
+        with gui.add_folder("Walking pad (hold)"):
+            self._about_pad = gui.add_markdown("")
+            speed = gui.add_slider("speed", SLOWEST, 1.0, 0.1, self.pad.speed)
+            speed.on_update(desk.taking(lambda visit: self._set_speed(speed.value)))
+            buttons = {direction: gui.add_button(direction, visible=False) for direction in DIRECTIONS}
+            for direction, button in buttons.items():
+                button.on_hold(desk.taking(self._holding(direction)), callback_hz=10.0)
+        self._pad_ids = {direction: button._impl.uuid for direction, button in buttons.items()}  # for keys.js
+        self._pad_shown = False
+        with gui.add_folder("Walk to a place") as folder:
+            self._armed = gui.add_checkbox("click on the floor to plan", False)
+            self._told = gui.add_markdown("no place chosen")
+            self._approval = Approval(gui, folder, "Walk there", desk)
+            gui.add_button("Forget the plan").on_click(desk.taking(lambda visit: self._forget("no place chosen")))
+            gui.add_button("Stop walking there").on_click(desk.taking(self._cancel))
+        client.scene.on_click()(desk.taking(self._clicked))  # type: ignore[arg-type]  # it takes coroutines, too
+
+    def close(self) -> None:
+        """Release the pad, and hide pad and plan."""
+        self.pad.release()
+        self._scene.preview_steps.show([])
+        self._show_pad(False)
+
+    def _show_pad(self, walks: bool) -> None:
+        if self._pad_shown is not walks:
+            self._pad_shown = walks
+            source = f"valorPad({json.dumps(self._pad_ids)}, {json.dumps(walks)})"
+            self._client._websock_connection.queue_message(RunJavascriptMessage(source))
+
+    def draw(self) -> None:
+        """Show available modes and the progress of the plan."""
+        self._show_pad(self._heard.mode.current in WALKING_MODES)
+        if self._going and self._told.content != (line := self._going.line()):
+            self._told.content = line
+        mode = self._heard.mode
+        self._buttons.show(mode, self._heard.states.get("behavior", ""))
+        if self._about_pad.content != (text := self._pad_text()):
+            self._about_pad.content = text
+
+    def _pad_text(self) -> str:
+        """Why the pad is disabled; with a link, the age of the last received velocity."""
+        heard = self._heard
+        if heard.mode.current not in WALKING_MODES:
+            return f"in control mode {' or '.join(sorted(WALKING_MODES))}; it is {heard.mode.current or 'not known'}"
+        if heard.link is None:
+            return "below the robot: buttons, W A S D, Q E and arrows"
+        age = heard.ages.age("velocity", time.monotonic())
+        return f"a velocity came through {age:.1f} s ago" if age < SHOWN else "no velocity has come through lately"
+
+    def turn(self, now: float) -> None:
+        """Send the held velocity; ``now`` is monotonic [s]."""
+        if now - self._sent < SEND:
+            return
+        if self._desk.age() > MOTION:
+            self.pad.release()
+        if (velocity := self.pad.velocity(now)) is not None:
+            self._commander.velocity(*velocity)
+            self._sent = now
+
+    def _changing(self, name: str) -> Any:
+        def change(visit: UserEvent) -> None:
+            command = self._desk.command(visit, f"control mode {name}")
+            if why := self._modes.why_not(name, self._heard.mode, self._heard.states.get("behavior", "")):
+                command.state, command.answer = "refused", why
+                raise RefusalError("mode", command.line())
+            self._commander.change_mode(name, command)
+
+        return change
+
+    def _set_speed(self, speed: Any) -> None:
+        self.pad.speed = bounded(speed, SLOWEST, 1.0)
+
+    def _holding(self, direction: str) -> Any:
+        def hold(visit: UserEvent) -> None:
+            if self._heard.mode.current not in WALKING_MODES:
+                raise RefusalError("mode", f"velocities are followed in {' and '.join(sorted(WALKING_MODES))}")
+            if visit.age > MOTION:
+                self.pad.release()
+                raise RefusalError("age", f"{direction} came too late: made up to {visit.age:.1f} s ago")
+            if self.pad.hold(direction, time.monotonic()):
+                command = self._desk.command(visit, f"walk {direction}, as long as it is held", MOTION)
+                command.state = "acknowledged"
+
+        return hold
+
+    def _clicked(self, visit: UserEvent) -> None:
+        if not self._armed.value:
+            return
+        body = self._scene.body
+        soles = sole_poses(body.soles())
+        event = visit.event
+        origin, direction = vector(event.ray_origin, 3, FARTHEST), vector(event.ray_direction, 3, FARTHEST)
+        place = floor_point(origin, direction, min(sole.position[2] for sole in soles))
+        if place is None:
+            self._forget("that is not on the floor")
+            return
+        try:
+            way = walk_to(body.model.robot, soles, place)
+        except ValorError as error:
+            self._forget(str(error))
+            return
+        self._scene.preview_steps.show([(index, foot, sole) for index, (foot, sole) in enumerate(way.steps)])
+        self._way = way
+        self._approval.offer(lambda visit: self._walk(visit, way), refused=bool(way.faults))
+        where = f"{len(way.steps)} steps to ({place[0]:.2f}, {place[1]:.2f}) m in odom"
+        self._told.content = where if not way.faults else f"{where}\n\nwould be refused: " + "; ".join(way.faults[:3])
+
+    def _forget(self, why: str) -> None:
+        self._way = self._going = None
+        self._scene.preview_steps.show([])
+        self._approval.offer(None)
+        self._told.content = why
+
+    def _walk(self, visit: UserEvent, way: StepPreview) -> None:
+        if way is not self._way or way.faults:
+            raise RefusalError("plan", "that plan is not shown any more")
+        command = self._desk.command(visit, f"{len(way.steps)} steps")
+        mode = self._heard.mode.current
+        self._forget("on the way")
+        self._going = command
+        if mode in STEPPING_MODES:
+            self._commander.step(way.steps, command)
+            return
+        if why := self._modes.why_not(ControlMode.STEP, self._heard.mode):
+            command.state, command.answer = "refused", f"control mode step: {why}"
+            raise RefusalError("mode", command.line())
+        first = self._desk.command(visit, "control mode step")
+        self._commander.change_mode(ControlMode.STEP, first, then=lambda: self._commander.step(way.steps, command))
+
+    def _cancel(self, visit: UserEvent) -> None:
+        command = self._desk.command(visit, "end what runs")
+        self._commander.cancel()
+        command.state = "acknowledged"

@@ -1,0 +1,1 @@
+"""Results of experiments and the report made of them."""

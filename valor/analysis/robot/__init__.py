@@ -1,0 +1,1 @@
+"""Plots and pictures of the robot: tracking, balance, before and after, calibration."""

@@ -1,1 +1,0 @@
-"""A robot's configuration for MoveIt, out of its folder."""

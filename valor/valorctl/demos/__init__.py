@@ -1,0 +1,1 @@
+"""Demonstrations: a system of their own, a bag, pictures."""

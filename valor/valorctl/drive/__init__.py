@@ -1,0 +1,1 @@
+"""Verbs that drive a running robot: modes, limbs, steps, walks, stops."""

@@ -1,0 +1,1 @@
+"""Setting up, starting, supervising and stopping an instance."""

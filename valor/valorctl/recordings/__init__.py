@@ -1,0 +1,1 @@
+"""Recordings of an instance: listing, retention, conversion and playback."""

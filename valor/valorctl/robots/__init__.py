@@ -1,0 +1,1 @@
+"""Verbs on robots' folders: make, check, show, export."""

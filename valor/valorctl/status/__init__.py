@@ -1,0 +1,1 @@
+"""State, health and logs of a running instance."""

@@ -1,1 +1,0 @@
-"""What the QP must keep: contact forces, limits of joints, distances of parts."""

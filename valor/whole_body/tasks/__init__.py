@@ -1,1 +1,0 @@
-"""What the QP's objective wants."""
