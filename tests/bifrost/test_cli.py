@@ -21,7 +21,8 @@ pytestmark = pytest.mark.portable
 
 @pytest.fixture(autouse=True)
 def joined(net: BifrostNetwork, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The verbs run in this process, in the test's network."""
+    """The verbs run in this process, in the test's network, without the catalogue of a larger command line."""
+    monkeypatch.setattr(cli, "catalogue", Catalogue())
     monkeypatch.setenv("BIFROST_NETWORK", str(net.file))
     monkeypatch.setenv("BIFROST_KEYS", str(net.keys))
 

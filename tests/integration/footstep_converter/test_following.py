@@ -170,6 +170,7 @@ class Tf:
 
 def test_a_plan_in_another_frame_is_put_in_odom(motion: ScriptedMotionManager, ros_client: PlanClient) -> None:
     tf = Tf(ros_client)
+    motion.report("finished", time=100_000_000_000)
     elsewhere = plan()
     elsewhere.header.frame_id = "map"
 
@@ -177,11 +178,11 @@ def test_a_plan_in_another_frame_is_put_in_odom(motion: ScriptedMotionManager, r
         """Return whether the converter receives tf: it reports that a plan is older than what it has received."""
         tf.report(100, 1.0)
         tf.report(101, 2.0)
-        elsewhere.header.stamp.sec = 1
+        elsewhere.header.stamp.sec = 95
         return "before the oldest" in ros_client.outcome(ros_client.send(elsewhere))[2]
 
     wait_until(known, LIMIT, "tf at the converter", period=0.2)
-    elsewhere.header.stamp.sec = 200
+    elsewhere.header.stamp.sec = 105
     assert "ahead of the latest transform, and none was received" in ros_client.outcome(ros_client.send(elsewhere))[2]
     assert not motion.requests
 
