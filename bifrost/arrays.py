@@ -3,8 +3,6 @@
 NumPy takes longer to import than the rest of Bifrost; programs without arrays do not wait for it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, TypeVar
 

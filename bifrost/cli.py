@@ -4,8 +4,6 @@
 join the network that ``BIFROST_NETWORK`` and ``BIFROST_KEYS`` name. Failures are a ``bifrost.Error`` of one line.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import difflib

@@ -1,7 +1,5 @@
 """Clients: one request at a time, sent at most once, with a timeout; blocking or polled."""
 
-from __future__ import annotations
-
 import secrets
 import time
 from dataclasses import dataclass

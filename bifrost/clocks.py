@@ -4,8 +4,6 @@ The other computer receives a request between its sending and the receipt of the
 the round trip, and grows with age, for clocks drift. The best of the last samples counts.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 

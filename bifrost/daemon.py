@@ -4,8 +4,6 @@ It stores the table of its computer's nodes, follows the daemons of the other co
 of its nodes at once. Messages do not pass through it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import logging

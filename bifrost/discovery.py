@@ -4,8 +4,6 @@ Publishers, subscribers, servers and clients do not communicate with the daemon.
 that connect hold a ``Watch``, the peers of a topic, which the thread updates before it wakes the owner.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import secrets

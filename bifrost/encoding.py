@@ -1,7 +1,5 @@
 """Encoding and decoding of message types, with checks that msgpack does not make."""
 
-from __future__ import annotations
-
 import typing
 from collections.abc import Callable
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """Errors of Bifrost. Each text is one line for the user: object and expectation."""
 
-from __future__ import annotations
-
 import builtins
 
 

@@ -5,8 +5,6 @@ to subscribers, clients and daemons. The network file contains its public key, t
 the network's common keys, or another owner's, are rejected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A subscriber's socket, connected to the topic's publishers, and all checks before decoding."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Limits of message rates: a sender that exceeds its limit is muted for a second at a time."""
 
-from __future__ import annotations
-
 import logging
 
 import msgspec

@@ -3,8 +3,6 @@
 The discovery thread updates it; subscribers and clients hold a ``Watch`` of one topic's publishers or servers.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

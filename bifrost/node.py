@@ -1,7 +1,5 @@
 """A node: the access of a process to the network."""
 
-from __future__ import annotations
-
 import re
 import threading
 from collections.abc import Callable

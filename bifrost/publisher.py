@@ -1,7 +1,5 @@
 """Publishers: one socket for each node, one sequence for each publisher."""
 
-from __future__ import annotations
-
 import functools
 import secrets
 import threading

@@ -1,7 +1,5 @@
 """Reflection for tools: fields and schema of a message type, classes made from schemas, conversion to JSON types."""
 
-from __future__ import annotations
-
 import math
 import types
 import typing

@@ -1,7 +1,5 @@
 """A daemon's copy of another computer's nodes, kept by following the daemon there."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import time

@@ -4,8 +4,6 @@ No socket is bound without CURVE: it excludes other processes, and libzmq 4.3.5 
 to a socket without it.
 """
 
-from __future__ import annotations
-
 import zmq
 from zmq.utils import z85
 

@@ -1,7 +1,5 @@
 """Servers: they handle requests in the caller's loop, with one socket each."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable

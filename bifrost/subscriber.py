@@ -1,7 +1,5 @@
 """Subscribers: each has its own socket and queue."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from typing import Any, Generic

@@ -3,8 +3,6 @@
 One file for each computer next to the network file, mode 0600, replaced atomically. It may be out of date.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import time

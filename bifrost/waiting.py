@@ -1,7 +1,5 @@
 """Waiting for, and polling of, many subscribers, servers and clients in one loop."""
 
-from __future__ import annotations
-
 import select
 import time
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Wakes a node's waiting subscribers: publishes the bare topic to their sockets within the process."""
 
-from __future__ import annotations
-
 import threading
 
 import zmq

@@ -1,7 +1,5 @@
 """Headers of messages, as specified in ``docs/bifrost.md``. All numbers are little-endian and unaligned."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

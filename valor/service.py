@@ -3,8 +3,6 @@
 A service's ``__main__.py`` is ``run("name", Class)``; its ``service.py`` holds the loop.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import gc

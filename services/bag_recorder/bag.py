@@ -1,7 +1,5 @@
 """A bag: an MCAP file that stays readable up to the last flush if the writing process is killed."""
 
-from __future__ import annotations
-
 import fcntl
 import time
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The bags of a recorder: path, start and end of each, recovery of unfinished bags, metadata."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

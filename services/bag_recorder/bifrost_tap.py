@@ -1,7 +1,5 @@
 """Bifrost side of the recorder: every topic of the table, as ROS mirror types under ``/bifrost``."""
 
-from __future__ import annotations
-
 import logging
 import struct
 from collections.abc import Callable, Sequence

@@ -5,8 +5,6 @@ wall clock is set or slewed, so that intervals between messages stay exact. From
 clock, the recorder subtracts the drift, so that all messages share one time axis. The bag's metadata has the drift.
 """
 
-from __future__ import annotations
-
 import time
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The two ways to record: continuously into a series of bags, or the last seconds after a fall or on request."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import time

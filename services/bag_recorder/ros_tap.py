@@ -4,8 +4,6 @@ No executor spins. The middleware receives and stamps messages in its own thread
 subscription's queue, which costs some microseconds per message. An executor's wake-up costs over a hundred.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Bag Recorder: moves messages from Bifrost and ROS subscriptions into bags, ten times a second."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

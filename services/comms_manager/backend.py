@@ -1,7 +1,5 @@
 """Interface between the main loop and its devices, simulated or real."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 
 from valor.common.behaviors import Reaction

@@ -1,7 +1,5 @@
 """Checks Motor messages and detects their timeout."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,7 +1,5 @@
 """The Comms Manager's main loop: Proprioceptor out, Motor in, one control period after another (thesis 3.4.3)."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 

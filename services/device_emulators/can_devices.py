@@ -1,7 +1,5 @@
 """Emulated devices on CAN buses: base class, force/torque sensors and series-elastic motor controllers."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 

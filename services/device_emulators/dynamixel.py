@@ -9,8 +9,6 @@ Assumption: servos behind a servo that does not respond still respond to a sync 
 ``length`` counts from the instruction to the CRC. After 0xFF 0xFF 0xFD in instruction and parameters, 0xFD is stuffed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Container, Sequence
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """Emulated HDT modules on the socket of their driver."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import socket

@@ -3,8 +3,6 @@
 Implements the tables of the manual (``valor.devices.kvh``) independently of the driver, so that tests find mistakes.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from valor.common.instance import Instance, Settings

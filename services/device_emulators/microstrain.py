@@ -1,7 +1,5 @@
 """Emulated MicroStrain IMU of the pelvis: commands, replies, and the stream of its filter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

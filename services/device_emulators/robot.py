@@ -1,7 +1,5 @@
 """Simulated robot of the emulated devices: the plant with commands and measurements for each device."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 

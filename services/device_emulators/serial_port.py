@@ -1,7 +1,5 @@
 """Device side of a serial line: a pseudo-terminal that can be unplugged."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

@@ -1,7 +1,5 @@
 """Emulator of a sensor on a serial port, independent of its protocol."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol
 

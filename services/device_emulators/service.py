@@ -1,7 +1,5 @@
 """Process of the emulated devices: steps the plant by the wall clock, and responds to received data at once."""
 
-from __future__ import annotations
-
 import logging
 import math
 import selectors

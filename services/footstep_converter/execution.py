@@ -3,8 +3,6 @@
 Reports go in with the time [s] of their receipt. Timeouts of the robot are in robot time, slow in a slow simulation.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """Connection to the Motion Manager over Bifrost."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 

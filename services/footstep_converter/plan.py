@@ -1,7 +1,5 @@
 """Conversion of ViGIR's step plans to the Motion System's footsteps, or rejection before anything is sent."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ At most one plan runs, and at most one request is open. A goal received while a 
 that can still be changed, or stops it if it has no steps (vigir_step_control's rules).
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Sequence

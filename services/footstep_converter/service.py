@@ -1,7 +1,5 @@
 """Footstep Converter as a service: ROS, Motion Manager, plan runner, and the loop."""
 
-from __future__ import annotations
-
 import time
 from functools import partial
 

@@ -3,8 +3,6 @@
 Meshes that ``/robot_description`` names by ``file:`` are served as assets; no other file is.
 """
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections.abc import Iterator

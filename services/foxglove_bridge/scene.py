@@ -4,8 +4,6 @@ Foxglove draws the robot itself from ``/robot_description`` and ``/tf``. Frames 
 without messages are removed.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Forwards the topics that clients watch; the server offers no publishing, services or parameters."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Scene entities of the simulated world, from its name and seed: ground and moving fixtures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

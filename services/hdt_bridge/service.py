@@ -5,8 +5,6 @@ waits for the other or notices its restart, and missed messages are not repeated
 decide which commands may move an arm.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One arm or hand: checks commands, bounds set-points, and stores the measured state."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The driver's loop: at its own rate, commands to the modules, and their states to ROS."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """Publishes pictures of the simulated robot while a ROS 2 node subscribes."""
 
-from __future__ import annotations
-
 import io
 import math
 import time

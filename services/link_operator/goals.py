@@ -1,7 +1,5 @@
 """The robot's actions as servers in the operator's ROS domain: goals are sent through the link, results returned."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import time

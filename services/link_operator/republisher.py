@@ -1,7 +1,5 @@
 """Publishes the robot's state and progress in the operator's domain, under the topic names of the robot's domain."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import nan
 from typing import Any

@@ -1,7 +1,5 @@
 """Executes commands received through the link and answers with results; reports plans and hand goals of any client."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

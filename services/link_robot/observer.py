@@ -1,7 +1,5 @@
 """Latest messages of the robot's ROS topics, taken when a state is to be sent."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from typing import Any

@@ -1,7 +1,5 @@
 """Loop of the robot's end of the link."""
 
-from __future__ import annotations
-
 import logging
 import time
 

@@ -1,7 +1,5 @@
 """Behavior FSM: transitions by the tables of ``valor.common.behaviors``, and their guards. No input or output."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Components of a Motion Manager."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

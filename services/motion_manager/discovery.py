@@ -1,7 +1,5 @@
 """Discovery of handlers and drivers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from importlib import import_module
 from pkgutil import iter_modules

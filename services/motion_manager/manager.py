@@ -4,8 +4,6 @@ One period: watchdogs → estimate → state machines → reference → control 
 after an error.
 """
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np

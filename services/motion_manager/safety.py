@@ -4,8 +4,6 @@ Motion Manager, Comms Manager or no process controls the robot. The Motion Manag
 robot time, a balance reflex or a process restart; the robot then moves only on command.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping
 from math import acos, degrees

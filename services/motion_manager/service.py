@@ -1,7 +1,5 @@
 """Loop of the Motion Manager: receives a Proprioceptor, sends its Motor, then processes the rest."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Behaviors as colored bands below a plot."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -5,8 +5,6 @@ measurements vermilion; left is blue, right vermilion; x, y, z are the first thr
 lines are planned or estimated values.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

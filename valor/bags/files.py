@@ -3,8 +3,6 @@
 Read without the MCAP library, whose import would lengthen `valorctl status` by a third.
 """
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Index of a bag: the summary section at the end of a finished MCAP file."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
 from pathlib import Path

@@ -5,8 +5,6 @@ A recording is a folder that the recorder named by its start time, with its piec
 programs. Listing uses names, sizes and times; no bag is read beyond its first bytes.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

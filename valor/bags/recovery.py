@@ -5,8 +5,6 @@ and no index. ``recover`` reads the complete records, cuts off the rest, and wri
 Chunks are verified by their checksums.
 """
 
-from __future__ import annotations
-
 import fcntl
 import struct
 import zlib

@@ -3,8 +3,6 @@
 Only pieces that a recorder of this product wrote are removed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import math

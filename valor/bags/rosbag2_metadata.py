@@ -3,8 +3,6 @@
 It is derived from the indices of the files, so it can be written again at any time.
 """
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass
 from datetime import datetime

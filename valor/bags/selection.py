@@ -1,7 +1,5 @@
 """Selection of topics by patterns of their names."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 

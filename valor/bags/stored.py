@@ -4,8 +4,6 @@ MCAP files and folders of them are read from start to end without an index. Dama
 does not match its checksum, a missing end.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

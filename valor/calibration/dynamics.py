@@ -10,8 +10,6 @@ All unknowns are estimated jointly by linear least squares with Huber weights. T
 priors with ``MASS_ERROR``, ``COM_ERROR`` and ``OFFSET`` keep the undetermined part nominal.
 """
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ where ``dead`` is zero within ± b, half the play, and smaller by b outside. For
 unknowns; b minimises the error.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Informative poses of an arm, with paths free of collisions."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Record of sensors and commands during a motion, averaged over blocks of control periods."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ A *behavior* of the Motion Manager combines states of three machines (thesis, ta
 ``control_modes.yaml`` lists the behaviors that it requests.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """Errors whose text is one line for the user: file, key, value, expectation."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 

@@ -4,8 +4,6 @@ An expression costs 0.1 µs, and 2 ns per operation; one NumPy call on a vector 
 of matrices of the model's size remain with BLAS. Both sides of ``casadi.if_else`` are evaluated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Addresses and sides of the link: UDP, on ports derived from the robot's port block."""
 
-from __future__ import annotations
-
 from valor.common.errors import ConfigurationError
 from valor.common.instance import LEAST_LINK_RATE, LINK_RATE, Link, Settings, WhenLost
 

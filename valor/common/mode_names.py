@@ -1,7 +1,5 @@
 """Control modes by name, from ``control_modes.yaml``; ConfigurationError if the file cannot be read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Schedule of robot time on the wall clock: lateness within bounds is made up; beyond, it is slip."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import time

@@ -3,8 +3,6 @@
 Slices need no privileges: threads with short ones get the core sooner, threads with long ones interrupt no other.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import os

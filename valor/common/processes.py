@@ -4,8 +4,6 @@ To add a process, add a line here and a folder of the same name. Supervision, ke
 the tables in the documentation follow from this table.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Files that are not code (robots, profiles, examples): at a checkout's root, or in a wheel's ``data``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from valor.common.errors import ConfigurationError, expected

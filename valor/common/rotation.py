@@ -3,8 +3,6 @@
 Functions on quaternions, and ``error``, also accept expressions of ``kernel``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from math import asin, atan2, cos, sin, sqrt
 

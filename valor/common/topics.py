@@ -4,8 +4,6 @@ To add a topic, add a line here. Its publishers and subscribers (``MOTOR.publish
 the keys and the tables in the documentation follow from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar

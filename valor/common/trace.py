@@ -4,8 +4,6 @@ A stage lasts from the previous mark to its own. Stamps are of the monotonic clo
 share. Without a subscriber a mark is one call of a function without effect. Marks belong to the loop's own thread.
 """
 
-from __future__ import annotations
-
 import gc
 import time
 from enum import IntEnum

@@ -3,8 +3,6 @@
 Each frame has one parent. Lookups are within the stored history, or at the latest time common to all transforms needed.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Ports of an instance's page and of the view within it, on the loopback interface alone."""
 
-from __future__ import annotations
-
 from valor.common.instance import Settings
 
 LOOPBACK = "127.0.0.1"

@@ -1,7 +1,5 @@
 """Atomic replacement of files: a reader, also after a crash, finds the old or the new content, never a part."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections.abc import Iterator

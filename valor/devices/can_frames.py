@@ -16,8 +16,6 @@ little-endian; every frame ends with the checksum over identifier and content; C
     REPLY     0x280 + id   code u8, result u8, serial 16 characters, firmware 8 characters                  32 B
 """
 
-from __future__ import annotations
-
 import struct
 from binascii import crc_hqx
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ Table", units of their items, and stall torque and current. Positive positions, 
 counter-clockwise seen on the horn. ``tests/unit/test_makers_tables.py`` has the same tables as bytes.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag

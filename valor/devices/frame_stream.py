@@ -1,7 +1,5 @@
 """Extracts frames from a stream of bytes of a serial line, also after invalid bytes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 

@@ -4,8 +4,6 @@ On the Unix socket ``ports/<device>`` each limb answers every command with a sta
 After ``WATCHDOG`` without set-points, modules hold the last ones at rest, or, if there are none, their position.
 """
 
-from __future__ import annotations
-
 from enum import IntFlag
 
 import numpy as np

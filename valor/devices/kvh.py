@@ -14,8 +14,6 @@ response when configuration mode ends. The CRC is CRC-32/MPEG-2: polynomial 0x04
 significant bit first.
 """
 
-from __future__ import annotations
-
 from struct import Struct
 from typing import Annotated, Literal
 

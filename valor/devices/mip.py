@@ -13,8 +13,6 @@ The checksum is Fletcher's over all bytes before it: their sum, then the sum of 
 Source: the vendor's public manual ("3DM-GX4-25 Data Communications Protocol"); ``FILTER_BASE_RATE``: its data sheet.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 from struct import Struct
 from typing import Annotated

@@ -4,8 +4,6 @@ The instance's settings may specify real ports: ``can0: socketcan:can0``, ``imu:
 UDP multicast on a port of the instance, a serial port a pseudo-terminal linked to ``ports/<device>`` in its folder.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import socket

@@ -4,8 +4,6 @@ A unit fails separately: a motor controller, a servo, a sensor, a limb. Tables o
 reading robot.yaml does not load ``python-can``; the others are with their protocols, and all in ``kinds.py``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Annotated, Literal
 

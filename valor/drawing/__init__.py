@@ -1,7 +1,5 @@
 """Off-screen drawing of the robot in its world: pictures, films, simulated camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Marks drawn around a robot: forces, balance, support, from public messages; all in the frame of the soles' poses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

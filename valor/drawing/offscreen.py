@@ -1,7 +1,5 @@
 """MuJoCo's renderer without a display: with EGL, or OSMesa if ``MUJOCO_GL`` is ``osmesa``, at any import order."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from itertools import pairwise

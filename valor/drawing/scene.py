@@ -1,7 +1,5 @@
 """Off-screen pictures of the robot in its world."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 

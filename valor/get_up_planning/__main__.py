@@ -1,7 +1,5 @@
 """``python -m valor.get_up_planning ROBOT``: make the robot's ``get_up.yaml`` from its ``get_up_plan.yaml``."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Mapping, Sequence

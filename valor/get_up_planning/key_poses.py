@@ -10,8 +10,6 @@ shapes above. The cost is the sum of squared torques, forces and distances from 
 solution independently (``check``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any

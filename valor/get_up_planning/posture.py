@@ -5,8 +5,6 @@ joints of the right side mirror those of the left. For a symmetric load the gene
 describe the equilibrium completely.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Traffic classes of the link, most urgent first: priorities, deadlines, repetition; byte budgets and rates."""
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass

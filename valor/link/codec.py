@@ -9,8 +9,6 @@ integer: only the padding of the last byte is overhead. Every non-negative integ
 symbol the state must be the initial one, else the input is malformed.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from bisect import bisect_right

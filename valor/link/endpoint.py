@@ -4,8 +4,6 @@ The slow channel is always open, and its datagrams keep to a byte budget. The fa
 as open while datagrams arrive on it, and then carries what waits. Both carry the same sealed datagrams.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator

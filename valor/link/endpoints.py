@@ -1,7 +1,5 @@
 """Robot's end, which sends states and pictures, and operator's end, which receives them and bounds their age."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from valor.common.instance import LINK_RATE

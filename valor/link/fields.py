@@ -4,8 +4,6 @@ A field is quantised to ``step``: its error is at most half a step. Outside its 
 fields of a group share one probability distribution, selected for every frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

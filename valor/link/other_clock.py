@@ -1,7 +1,5 @@
 """Bounds of the other end's clock."""
 
-from __future__ import annotations
-
 import math
 
 DRIFT = 200e-6  # upper bound for two quartz clocks, with a margin

@@ -12,8 +12,6 @@ for one session only. Datagrams are sealed with AES-256-CCM and a short tag of 8
 counter is the nonce: ``1``, counter (4), sealed records and tag (8).
 """
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import secrets

@@ -4,8 +4,6 @@ The operator's end has the robot end's addresses. The robot's end sends to the s
 answers a hello to its source, so that it needs no address and the operator's may change.
 """
 
-from __future__ import annotations
-
 import contextlib
 import selectors
 import socket

@@ -1,7 +1,5 @@
 """Plan for a door: the fist presses the lever down, and the knuckles push the leaf."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

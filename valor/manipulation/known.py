@@ -1,7 +1,5 @@
 """Table of the tasks: world, planning function, fixture and success criterion."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Plan of a manipulation: a stance, and goals of the right hand, from its shape and the length of its arm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

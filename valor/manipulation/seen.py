@@ -3,8 +3,6 @@
 The error is uniform within ``PLACE`` along each axis and ``TURN`` of the heading. Odometry's drift is not corrected.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

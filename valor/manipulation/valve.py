@@ -1,7 +1,5 @@
 """Plan for a valve: the hand turns the wheel, between two spokes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

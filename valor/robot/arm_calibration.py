@@ -1,7 +1,5 @@
 """``calibration/arms.yaml``, by ``valorctl calibrate arm``: parameters of the arms that replace robot.yaml's."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import tempfile

@@ -3,8 +3,6 @@
 Displacements are of a sole relative to the other sole, in its heading: x forward, y left, z up.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import acos, atan2, cos, hypot, remainder, sin, tau

@@ -1,7 +1,5 @@
 """``get_up.yaml``: the key poses of Get Up. Generated offline by ``valor.get_up_planning``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Identification of the knees by kinematics, independent of joint names and directions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Limiter of command streams: continuous position and velocity, within all limits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """MuJoCo models of a robot for controllers: ``model.xml`` with the values of ``robot.yaml``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal

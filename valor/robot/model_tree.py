@@ -5,8 +5,6 @@ as some readers ignore the rotation of the inertial origin. Capsules become a cy
 scaled sphere mesh. Meshes are the model's STL, OBJ or DAE files; other formats are omitted.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from math import atan2, hypot

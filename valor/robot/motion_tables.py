@@ -1,7 +1,5 @@
 """Tables of robot.yaml for motion; those that only controllers read are in ``valor.whole_body.tuning_tables``."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Meta

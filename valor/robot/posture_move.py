@@ -1,7 +1,5 @@
 """Minimum-jerk motion of joints to a posture: simultaneous arrival, limited velocity and acceleration."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from valor.common.arrays import FloatArray

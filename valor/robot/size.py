@@ -4,8 +4,6 @@ A scaled field declares its dimension. The factors keep the Froude number v²/(g
 scale by √λ. Forces scale by mass, margins at a sole's edge by the sole's width.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, TypeVar

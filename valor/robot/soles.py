@@ -1,7 +1,5 @@
 """Soles and support polygons on the ground, seen from above."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from math import hypot
 

@@ -1,7 +1,5 @@
 """Footstep plans: YAML files, and a planner for level ground, along paths of the *middle* of the feet."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

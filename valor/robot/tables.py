@@ -1,7 +1,5 @@
 """Tables of robot.yaml: the parts of a robot. ``motion_tables.py`` has the limits of its motion."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """Limits, dynamics and servo gains of joints: from the model, or by a stated rule."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from xml.etree import ElementTree

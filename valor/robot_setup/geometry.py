@@ -1,7 +1,5 @@
 """Shapes of a model's bodies: soles, palms and capsules fitted to points on them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 

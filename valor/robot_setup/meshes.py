@@ -1,7 +1,5 @@
 """Triangle meshes: COLLADA and text STL, which MuJoCo does not read, and binary STL, which it does."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """Generation of ``model.xml`` and its meshes; axes of joints that the new root reverses are inverted."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path

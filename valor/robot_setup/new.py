@@ -1,7 +1,5 @@
 """Creation of a robot's folder from its model."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from itertools import product

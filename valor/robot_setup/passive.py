@@ -1,7 +1,5 @@
 """Joints without a drive: which are simulated and which are welded, and the constraints on them."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import dataclass, field
 

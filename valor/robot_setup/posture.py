@@ -1,7 +1,5 @@
 """Solution of the nominal posture (knees bent, soles level under the centre of mass) and of arm presets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Generation of ``robot.yaml``, with a comment on every guess."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import hypot, sqrt

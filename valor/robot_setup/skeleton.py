@@ -6,8 +6,6 @@ branches are arms, and the one in the middle plane is the neck. Names distinguis
 not; if they contradict each other, the user decides.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field

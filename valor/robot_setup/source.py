@@ -1,7 +1,5 @@
 """Source model of a robot, MJCF or URDF with floors, actuators and meshes: compiled, all joints at zero."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ blocks everything else or, as a coroutine, is resumed without pause and uses a f
 stored; its owner finishes it, and the executor thread then sends the result.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from typing import Any

@@ -4,8 +4,6 @@ Names are as ``sensor_msgs/msg/JointState``. Of actions, the types of their topi
 ``_action/feedback`` has ``…/action/<Action>_FeedbackMessage``, which contains ``…/action/<Action>_Feedback``.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

@@ -4,8 +4,6 @@ The wall clocks of both hosts must be synchronised, by chrony or PTP. If the sen
 all of its commands are rejected.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,7 +1,5 @@
 """Names on ROS: feet and hands in topics, left before right, as Team ViGIR's; keys of diagnostics of the VRC."""
 
-from __future__ import annotations
-
 FEET = ("l_foot", "r_foot")
 HANDS = ("l_hand", "r_hand")
 WRENCH = "flor/{}/force_torque_sensor"

@@ -1,7 +1,5 @@
 """Session and loop of both ends of the link."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

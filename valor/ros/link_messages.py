@@ -3,8 +3,6 @@
 A ROS message is serialized (CDR) and deflated with a dictionary of the robot's names; the steps of a plan are packed.
 """
 
-from __future__ import annotations
-
 import copy
 import zlib
 from dataclasses import dataclass

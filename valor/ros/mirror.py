@@ -1,7 +1,5 @@
 """Bifrost messages as their mirror types of ``valor_msgs``, and back."""
 
-from __future__ import annotations
-
 import array
 from typing import Any, TypeVar
 

@@ -1,7 +1,5 @@
 """A process' node in the ROS graph: settings, executor and life cycle. The environment overrides the settings."""
 
-from __future__ import annotations
-
 import logging
 import os
 import time

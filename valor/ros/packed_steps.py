@@ -3,8 +3,6 @@
 A steady walk needs hardly more bytes than one step.
 """
 
-from __future__ import annotations
-
 import copy
 import zlib
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """ROS parameters with description and range; rclpy rejects values of another type or out of range."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar

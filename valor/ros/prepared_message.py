@@ -5,8 +5,6 @@ numbers keep their positions: these are found once, by serializing the message w
 rclpy's serialization (CDR, little-endian).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Packed progress of step plans and hand goals for the link."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from typing import Any

@@ -1,7 +1,5 @@
 """Subscriptions polled by their process, where an executor's wake-up would cost more than the message."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Topics of a ROS graph: visibility, and QoS of subscriptions that receive all publishers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import yaml

@@ -1,7 +1,5 @@
 """``/tf``: links of the robot under ``odom``, with REP-120's frames."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``python -m valor.self_test ROBOT PROFILE``: run the acceptance tests; prints JSON at start and end of each."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

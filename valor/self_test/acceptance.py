@@ -3,8 +3,6 @@
 Lengths scale with the leg and impulses with the mass: the same tests hold for 3 kg and for 180 kg.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from typing import Any

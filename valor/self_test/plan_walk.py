@@ -1,7 +1,5 @@
 """Footstep plan walked in one process: handler and queue of the Motion Manager, controller and plant."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Results of the self-test as ``python -m valor.self_test`` prints them: one JSON object a line."""
 
-from __future__ import annotations
-
 import msgspec
 
 PROFILES = ("ideal", "hardware")

@@ -1,7 +1,5 @@
 """Motors of the simulated robot: control law of each joint mode, and imperfections of an actuator profile."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """MuJoCo's height fields as triangles."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

@@ -1,7 +1,5 @@
 """The simulated robot in its world: MuJoCo, with masses and friction that differ from the controller's model."""
 
-from __future__ import annotations
-
 import logging
 import math
 

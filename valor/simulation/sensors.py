@@ -1,7 +1,5 @@
 """Simulated encoders, IMU and force/torque sensors, with noise from one seed."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

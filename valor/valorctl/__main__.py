@@ -1,7 +1,5 @@
 """Entry point of ``valorctl`` and its exit status."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import os

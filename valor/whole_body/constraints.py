@@ -3,8 +3,6 @@
 Limits bound quantities y = c·v̇ + e − s·ρ of accelerations v̇ and contact forces ρ.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from heapq import heappop, heappush

@@ -5,8 +5,6 @@ define the other desired accelerations; the QP solves for contact forces and joi
 torques; joints not driven by force get set-points that integrate the accelerations.
 """
 
-from __future__ import annotations
-
 import logging
 from math import sqrt
 

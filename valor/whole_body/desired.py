@@ -1,7 +1,5 @@
 """Desired accelerations of a period, in one kernel: references, tasks, posture and joint limits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

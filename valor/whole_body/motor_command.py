@@ -1,7 +1,5 @@
 """Joint commands of the Whole-Body Controller, and the Motor of a control period with its last check."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

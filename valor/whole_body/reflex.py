@@ -6,8 +6,6 @@ Whole-Body Controller: a foot in the air comes down where the DCM needs it, clos
 side by side, and then the robot is at rest and can be held.
 """
 
-from __future__ import annotations
-
 from math import hypot
 
 import numpy as np

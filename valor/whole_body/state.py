@@ -5,8 +5,6 @@ fixed to the ground, its origin between the feet and its x forward at the estima
 base; a *sole* is the site under a foot.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

@@ -3,8 +3,6 @@
 A new task is a class and its line in ``TASKS``; rows, weights and ``<name>_weight`` of the ``whole_body`` table follow.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from math import log

@@ -1,7 +1,5 @@
 """Sections of robot.yaml that only the Motion Manager reads: weights, gains and thresholds of its controllers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated
 

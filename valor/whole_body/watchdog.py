@@ -1,7 +1,5 @@
 """Watchdog of Proprioceptor: validity of each message, and its continuity with the one before."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@
     devices       their threads, at their own rates
 """
 
-from __future__ import annotations
-
 import logging
 import sys
 import threading

@@ -4,8 +4,6 @@ The main loop requests states (``request_states``). The thread broadcasts SYNC, 
 when all units that responded lately have responded, or after a timeout.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import select

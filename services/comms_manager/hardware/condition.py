@@ -1,7 +1,5 @@
 """Checks of every unit: identity, temperature, voltage, delay of its data."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

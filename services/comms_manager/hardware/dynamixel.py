@@ -4,8 +4,6 @@ In each cycle of the device's rate all servos are read at once and all set-point
 positions on their own. They support the modes off and position; all other modes act as position.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import time

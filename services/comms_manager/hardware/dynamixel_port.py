@@ -5,8 +5,6 @@ waits in pyserial's read. The SDK's ``GroupSyncRead`` stops at the first missing
 responses of the others.
 """
 
-from __future__ import annotations
-
 import termios
 import time
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """State of one Dynamixel servo: latest measurements, their plausibility, and faults."""
 
-from __future__ import annotations
-
 import math
 
 from valor.comms_manager.hardware.condition import Condition, DeviceClock, Limits

@@ -4,8 +4,6 @@ Bridge and driver may restart at any time. Joints that are back receive their me
 which then moves to Motor's position at a bounded speed (``Rejoining``).
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import OrderedDict

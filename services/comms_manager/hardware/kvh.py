@@ -3,8 +3,6 @@
 Assumed mounting: at the robot's IMU frame, x axis forward, z axis up; its heading starts at 0.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import time

@@ -4,8 +4,6 @@ Each sample is one packet: attitude, angular rate, acceleration, filter state an
 forward, z axis down, a half turn about x from the robot's IMU frame; its heading is arbitrary.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import time

@@ -1,7 +1,5 @@
 """Proprioceptor, composed of the measurements of all devices."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

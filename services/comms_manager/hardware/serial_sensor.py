@@ -1,7 +1,5 @@
 """Base class of sensors that stream over a dedicated serial port."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import select

@@ -1,7 +1,5 @@
 """Legs and waist: series-elastic actuators behind motor controllers on CAN FD. The torque loop is the controllers'."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Monitor of the devices in the main loop: silent, unread, slow and faulty units, and the reaction of the robot."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -1,7 +1,5 @@
 """The simulated devices behind the main loop."""
 
-from __future__ import annotations
-
 import math
 
 import bifrost

@@ -5,8 +5,6 @@ clock, not the robot. ``realtime``: time passes independently, and waits only wh
 long ago. Both make up delays up to ``BACKLOG``, at most a quarter faster than their rate; the rest is reported as slip.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from abc import ABC, abstractmethod

@@ -1,7 +1,5 @@
 """Requests for a behavior, and reactions that the devices demand."""
 
-from __future__ import annotations
-
 from bifrost import Received
 from valor.common.behaviors import Behavior, Obstacle
 from valor.common.messages import BehaviorReply, BehaviorRequest, DeviceStatus

@@ -1,7 +1,5 @@
 """``motion_manager/joint_setpoints``: complete messages are followed or rejected."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Set-points of walking velocity, pelvis and hands."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from bifrost import Received

@@ -4,8 +4,6 @@ Values are clamped to the limits of robot.yaml and reached gradually. They hold 
 restores the values of robot.yaml.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

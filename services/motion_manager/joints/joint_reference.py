@@ -3,8 +3,6 @@
 Joints hold, follow set-points, or move to a posture. The limiter filters every motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ model. The integral i covers the rest, bounded by the largest play and a fractio
 starts from its calibrated values, which also give damping, offset and strength of its servo, a factor on k_p and k_d.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

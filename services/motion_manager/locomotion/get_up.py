@@ -5,8 +5,6 @@ the end of each pose; outside it, the robot has slipped or is held, and gets up 
 at the ankles moves the CoM to the middle of the soles.
 """
 
-from __future__ import annotations
-
 from math import asin, atan2, degrees, sqrt
 
 import numpy as np

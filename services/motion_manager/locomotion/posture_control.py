@@ -4,8 +4,6 @@ A servo carries weight only by a position error, so a standing robot would sag w
 each joint keeps its effort as feed-forward, which fades while the joint moves to the nominal posture.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Film of a bag: read, plan, draw, write."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from contextlib import closing
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Messages of a bag at equidistant moments, read in one pass without storing others."""
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Callable

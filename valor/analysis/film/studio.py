@@ -3,8 +3,6 @@
 Process k of n draws every nth picture and sends it before it draws the next, so that at most n pictures are stored.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

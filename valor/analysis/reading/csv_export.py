@@ -4,8 +4,6 @@ The first column is ``log_time_ns``, the time of reception by the recorder. Elem
 if the message or its parent lists as many (``position.l_elbow``), else by number (``covariance.0``).
 """
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Callable, Sequence

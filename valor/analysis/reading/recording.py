@@ -1,7 +1,5 @@
 """A bag of the robot: Bifrost topics by name, joints, behaviors, postures."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Decoding of messages by the definitions in the bag, or else by those of ROS 2 Jazzy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rosbags.serde import SerdeError

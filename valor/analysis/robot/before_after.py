@@ -1,7 +1,5 @@
 """Pictures of the robot before and after a manipulation, from a bag."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 

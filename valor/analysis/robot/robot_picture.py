@@ -1,7 +1,5 @@
 """A robot on one page: exterior, interior, and ranges of its joints."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 

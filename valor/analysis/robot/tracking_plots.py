@@ -1,7 +1,5 @@
 """Plots of the joints' tracking from a bag."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

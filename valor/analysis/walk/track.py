@@ -1,7 +1,5 @@
 """Metrics of a walk, from a bag or from messages received live, and its footprints."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self

@@ -1,7 +1,5 @@
 """Plots of a walk."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from pathlib import Path

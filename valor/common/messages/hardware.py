@@ -1,7 +1,5 @@
 """Messages between Comms Manager, Motion Manager and the devices."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 from bifrost import Float64Array, Message, Uint8Array

@@ -1,7 +1,5 @@
 """Messages of and to the Motion Manager."""
 
-from __future__ import annotations
-
 from bifrost import Float64Array, Message, Uint8Array
 
 

@@ -1,7 +1,5 @@
 """Messages of the Valor ROS Controller and the recorder, and statistics of all services."""
 
-from __future__ import annotations
-
 from enum import IntFlag
 
 from bifrost import Message

@@ -1,7 +1,5 @@
 """Messages of the simulated robot and the device emulators."""
 
-from __future__ import annotations
-
 from bifrost import Float64Array, Message, Uint8Array
 
 

@@ -1,7 +1,5 @@
 """Checks of the drives: efforts carry the robot; servos hold it and are stable."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import mujoco

@@ -1,7 +1,5 @@
 """All faults of a robot's folder, found before any process starts; checks that need a broken key are skipped."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Checks of robot.yaml against model.xml, in the nominal posture. Each check yields its violations."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import mujoco

@@ -1,7 +1,5 @@
 """Faults of a robot's model.xml before it is compiled, with their location."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

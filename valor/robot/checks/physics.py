@@ -1,7 +1,5 @@
 """Checks of model.xml for masses, inertias and friction that no machine of its size has."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import mujoco

@@ -1,7 +1,5 @@
 """The robot in its nominal posture, as the checks examine it."""
 
-from __future__ import annotations
-
 from functools import cached_property
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Checks of robot.yaml that need no model. Each check yields its violations."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping

@@ -5,8 +5,6 @@ its legs) determine a world completely, so a film of a bag shows the same ground
 import this package.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import numpy.typing as npt

@@ -1,7 +1,5 @@
 """Ground to walk on: uneven dirt, as at the DARPA Robotics Challenge Finals, rubble, and stairs."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Self

@@ -1,7 +1,5 @@
 """Fixtures to move: a door with a lever handle and a latch, and a valve's wheel in front of a wall."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

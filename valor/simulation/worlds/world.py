@@ -1,7 +1,5 @@
 """Base class of worlds, the level floor, materials and common geoms."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Self
 

@@ -1,7 +1,5 @@
 """Table of demonstrations, and the steps that they consist of."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

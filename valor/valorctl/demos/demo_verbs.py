@@ -1,7 +1,5 @@
 """``demo``, ``demo walk``, ``demo door``, ``demo valve``."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Annotated, Any

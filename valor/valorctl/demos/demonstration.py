@@ -3,8 +3,6 @@
 A demonstration leaves one bag, measurements and pictures in its folder.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import shutil

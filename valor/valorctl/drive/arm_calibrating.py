@@ -1,7 +1,5 @@
 """Calibration of arms of a standing robot: motion through poses and back, then identification."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """`mode`: report and change of the control mode."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """`get-up`."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Container
 

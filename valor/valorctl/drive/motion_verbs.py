@@ -1,7 +1,5 @@
 """``stop``, ``mode``, ``arm``, ``hand``, ``walk``, ``step``, ``get-up``, ``push``, ``time``."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 import typer

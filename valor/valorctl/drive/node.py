@@ -1,7 +1,5 @@
 """Bifrost node of a verb: joins an instance's network, receives a message, calls a service."""
 
-from __future__ import annotations
-
 from typing import Any, TypeVar
 
 import bifrost

@@ -3,8 +3,6 @@
 Importing rclpy takes about 0.5 s: only verbs that need it import this module.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

@@ -4,8 +4,6 @@
 prints its answer as JSON. `stop` runs it as a separate process, so that it does not wait for the imports.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

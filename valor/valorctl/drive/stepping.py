@@ -1,7 +1,5 @@
 """`step`: a ROS client of the footstep action."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ does; over ROS, to the VRC, from a separate process: importing rclpy takes 0.5 s
 Comms Manager reports of the motors.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

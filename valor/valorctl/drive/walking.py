@@ -9,8 +9,6 @@ With ``--straight`` the velocity is corrected for the errors from the line of th
 The gains are low, so that the correction does not follow the sway of the steps.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

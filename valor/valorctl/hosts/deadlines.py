@@ -3,8 +3,6 @@
 TCP delivers a call after a cable is plugged in again, when its caller has already failed. Such a call is rejected.
 """
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

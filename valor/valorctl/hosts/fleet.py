@@ -1,7 +1,5 @@
 """The hosts of an instance's network: one supervisord each, the others' over sockets that ssh forwards."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import subprocess

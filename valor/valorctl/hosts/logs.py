@@ -1,7 +1,5 @@
 """The logs of an instance on several hosts, merged by time."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Iterator

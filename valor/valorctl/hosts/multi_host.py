@@ -1,7 +1,5 @@
 """``up``, ``down`` and ``doctor`` of an instance on several hosts: those of this computer's network, with a link."""
 
-from __future__ import annotations
-
 import contextlib
 import secrets
 import socket

@@ -1,7 +1,5 @@
 """What a host does by order of another one: ``valorctl host order`` reads one order on stdin and replies on stdout."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

@@ -4,8 +4,6 @@ The order's deadline is by the clock of the host that receives it, which states 
 sent into a cut after the cable is plugged in again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Checks of a computer and an instance for known problems."""
 
-from __future__ import annotations
-
 import getpass
 import os
 import socket

@@ -1,7 +1,5 @@
 """Preparation of an instance: verified plan, folder, Bifrost network, settings."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -6,8 +6,6 @@ inherits it. The namespace is per network namespace, as are the ports that a dom
 the CAN buses between devices and their emulators, and of the Bifrost daemon.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

@@ -4,8 +4,6 @@ Processes are found by their environment, also if their supervisord was killed. 
 ``valorctl env`` lacks the marker and is not affected.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

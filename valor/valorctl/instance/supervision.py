@@ -1,7 +1,5 @@
 """An instance's supervisord: start, XML-RPC over its Unix socket, and errors for an instance that is not up."""
 
-from __future__ import annotations
-
 import http.client
 import os
 import re

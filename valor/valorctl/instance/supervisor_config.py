@@ -1,7 +1,5 @@
 """supervisord's configuration, rendered from the process table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The operator's page and the Foxglove server: verification, announcement, and ``view`` for a running instance."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import socket

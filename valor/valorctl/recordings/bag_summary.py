@@ -1,7 +1,5 @@
 """Contents of a bag from its index, and the recordings of instances as ``bag list`` shows them."""
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections import Counter

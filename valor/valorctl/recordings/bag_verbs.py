@@ -1,7 +1,5 @@
 """``bag`` and ``video``: manage, show, repair, convert and film recordings; mark a moment, save the last seconds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """Conversion of the recorder's options to settings: topics, pieces, and bounds of all recordings."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from typing import Any

@@ -3,8 +3,6 @@
 Names, sizes and times of files suffice; no process is queried.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -1,7 +1,5 @@
 """``topic`` and ``service``: Bifrost's verbs in the instance's network, with descriptions from ``topics.py``."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

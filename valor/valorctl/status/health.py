@@ -4,8 +4,6 @@ A process is ready while supervisord reports it as running and its own reports, 
 reports by replying to requests; the services publish ``Statistics``.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Logs of an instance's processes, merged by time: the last lines, and new lines."""
 
-from __future__ import annotations
-
 import os
 import re
 import time

@@ -1,7 +1,5 @@
 """``status``: the state of an instance from supervisord, reports of processes, and latched topics."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass

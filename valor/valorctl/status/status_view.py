@@ -1,7 +1,5 @@
 """Terminal output of ``status`` and ``logs``. Green: ready; yellow: waiting or held; red: needs attention."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """The command line: all verbs, and the options that they share."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 import math

@@ -1,7 +1,5 @@
 """Shell completion of values, from tables without services. A failure yields no values."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path

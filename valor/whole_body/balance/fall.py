@@ -9,8 +9,6 @@ estimate's error and for the effect of swinging arms. While the robot steps, the
 and the stance foot, and the margin is larger: the step after it can still save the robot (capturability with one step).
 """
 
-from __future__ import annotations
-
 from math import acos, degrees, hypot
 
 import numpy as np

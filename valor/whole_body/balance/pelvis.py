@@ -6,8 +6,6 @@ limited speed and acceleration. The controller balances the CoM, so the model co
 position, with the feet held in place by the legs' inverse kinematics.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import numpy.typing as npt

@@ -7,8 +7,6 @@ feet's heading, rotated by the commanded pelvis. While the robot steps, DCM and 
 displacement.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import inf, sqrt
 from typing import NamedTuple

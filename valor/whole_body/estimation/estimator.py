@@ -8,8 +8,6 @@
 A period is two kernels (``fusion``), with the model's kinematics in between.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from operator import itemgetter
 

@@ -11,8 +11,6 @@ Equations of motion, pelvis rows first (linear in odom, angular in pelvis), with
 The motions that tasks use are defined in ``motion``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import casadi as ca

@@ -6,8 +6,6 @@ The centroidal quantities are in the pelvis rows of the equations of motion (Ori
 r is the CoM from the pelvis, R the pelvis' rotation.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial

@@ -6,8 +6,6 @@ in the problem. While no generator is at a bound, as nearly always when the robo
 optimum: it is tried first if it was valid in the last period, and needs no solver.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ A plan that ends at rest, ξ = v, is thus computed backwards, and its start ξ(0
 start at a given DCM, the first knot after the start is displaced: ξ(0) is linear in it.
 """
 
-from __future__ import annotations
-
 from math import exp, hypot, inf
 
 import numpy as np

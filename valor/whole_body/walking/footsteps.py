@@ -1,7 +1,5 @@
 """Footsteps and their sources."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import hypot, inf
 from typing import Protocol

@@ -7,8 +7,6 @@ may change with every step, and a foot at another position is no error any more.
 three steps ahead are enough.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from math import hypot, inf, sqrt

@@ -23,8 +23,6 @@ based on step timing adaptation", for point feet; here with the CoP's reach and 
 Without an error the plan is the optimum. CasADi evaluates the matrices; DAQP solves the QP.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import cos, exp, hypot, inf, isfinite, log, sin

@@ -6,8 +6,6 @@ the step. It then leaves the ground heel first, rotating about its toe: behind a
 other leg, a level foot would exceed the ankle's range.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, sin
 

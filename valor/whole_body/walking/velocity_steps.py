@@ -9,8 +9,6 @@ counting most. Its slope is drawn towards zero (ridge regression), for a few foo
 bumps from slope. The positions of feet tell more than their tilt, which follows the few centimetres under the edges.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from math import cos, inf, sin
