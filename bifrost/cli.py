@@ -303,8 +303,7 @@ def _found(node: Node, kind: str, name: str, timeout: float, find: Callable[[Gra
 def _first(node: Node, subscriber: Subscriber[Message], timeout: float) -> Received[Message]:
     """The first message.
 
-    Raises:
-        TimeoutError: no message; names the cause: no daemon, no publisher, or no publication.
+    Raises TimeoutError: no message; names the cause: no daemon, no publisher, or no publication.
     """
     received = subscriber.receive(timeout=timeout)
     if received is not None:

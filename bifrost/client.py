@@ -91,8 +91,7 @@ class Client(Generic[M, R]):
     def answer(self) -> R | None:
         """The reply, once; None while there is none. Never blocks.
 
-        Raises:
-            Error: as ``call``; once, and the request is closed.
+        Raises Error: as ``call``; once, and the request is closed.
         """
         self._advance()
         answer, self._answer = self._answer, None

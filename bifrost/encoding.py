@@ -39,11 +39,7 @@ class Codec(Generic[M]):
         self.encode_into = _encode_into(self._encoder, self._check, self.name)
 
     def encode(self, message: M) -> bytes:
-        """The message as bytes.
-
-        Raises:
-            TypeError: a field has a value of another type; names the field.
-        """
+        """The message as bytes. Raises TypeError: a field has a value of another type; names the field."""
         if self._check is not None:
             self._check(message, self.name)
         return self._encoder.encode(message)

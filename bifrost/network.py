@@ -262,11 +262,7 @@ def _free_port(host: str, ports: Sequence[int]) -> int:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Replace a file atomically, with mode 0600.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Replace a file atomically, with mode 0600. Raises OSError: it cannot be written."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
     try:
@@ -296,11 +292,7 @@ def _read_network(path: Path) -> tuple[tuple[Computer, ...], Grants, str | None]
 
 
 def read_grants(content: Mapping[str, Any], where: Path) -> Grants:
-    """The grants of a network file.
-
-    Raises:
-        ConfigurationError: they are invalid.
-    """
+    """The grants of a network file. Raises ConfigurationError: they are invalid."""
     names = dict[str, tuple[str, ...]]
     try:
         grants = Grants(

@@ -114,10 +114,7 @@ class Node:
     ) -> Server[M, R]:
         """Serve a topic: ``handler(request, origin)``, called from ``Server.serve``, returns the reply.
 
-        Clients that exceed ``limit`` get no reply (``Server.muted``).
-
-        Raises:
-            Error: the topic belongs to another owner.
+        Clients that exceed ``limit`` get no reply (``Server.muted``). Raises Error: the topic belongs to another owner.
         """
         self._check(topic)
         self._check_grant("server", topic)
@@ -131,8 +128,7 @@ class Node:
     def graph(self, timeout: float = 2.0) -> Graph:
         """All topics and services with their nodes.
 
-        Raises:
-            TimeoutError: no reply of the daemon within ``timeout`` [s].
+        Raises TimeoutError: no reply of the daemon within ``timeout`` [s].
         """
         if not self.discovery.wait_change(lambda: self.discovery.registered, timeout):
             raise TimeoutError(f"{self.discovery.daemon_silent} (waited {timeout:g} s)")

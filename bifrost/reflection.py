@@ -24,11 +24,7 @@ _PLAIN: dict[str, Any] = {
 
 
 def schema_of(message_type: type[Message]) -> Schema:
-    """The schema of a message type.
-
-    Raises:
-        TypeError: a field has an unsupported type; names the field.
-    """
+    """The schema of a message type. Raises TypeError: a field has an unsupported type; names the field."""
     described: dict[str, list[list[str]]] = {}
     _describe(message_type, described, {})
     return Schema(message_type.__name__, described)
@@ -102,8 +98,7 @@ def _describe_type(
 def type_from_schema(schema: Schema) -> type[Message]:
     """A message class made from a schema; it encodes and decodes like the original.
 
-    Raises:
-        SchemaError: the schema is not well formed.
+    Raises SchemaError: the schema is not well formed.
     """
     made: dict[str, type[Message]] = {}
     try:
@@ -183,8 +178,7 @@ def number(value: Any) -> str:
 def from_json(message_type: type[M], text: str) -> M:
     """A message from JSON, the inverse of ``to_builtins``; null numbers become NaN.
 
-    Raises:
-        SchemaError: invalid JSON, or a field is missing, unknown or of another type.
+    Raises SchemaError: invalid JSON, or a field is missing, unknown or of another type.
     """
     try:
         return typing.cast("M", _from_json(message_type, msgspec.json.decode(text, type=_json_type(message_type))))

@@ -67,9 +67,7 @@ class Bag:
     """Writes an MCAP file of ROS 2 messages in CDR.
 
     Messages are collected in a chunk; ``flush`` passes it to the operating system. Flushed messages survive SIGKILL.
-
-    Raises:
-        OSError: by the constructor and by every method that writes.
+    Raises OSError: by the constructor and by every method that writes.
     """
 
     def __init__(self, path: Path) -> None:

@@ -26,8 +26,7 @@ _OVERHEAD = 200  # of a message in memory [B]
 class Continuous:
     """A sink that writes every message.
 
-    Raises:
-        OSError: the bag cannot be written; by the constructor, for another reason than a full disk.
+    Raises OSError: the bag cannot be written; by the constructor, for another reason than a full disk.
     """
 
     def __init__(self, store: BagStore, clock: StampConverter, size: float, age: float) -> None:

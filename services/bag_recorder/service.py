@@ -67,8 +67,7 @@ def settings_of(node: Node, settings: Settings) -> Settings:
 class BagRecorder:
     """The service. One thread does everything except receiving, for which ZeroMQ and Fast DDS have threads.
 
-    Raises:
-        ConfigurationError: no bag can be written at the configured path.
+    Raises ConfigurationError: no bag can be written at the configured path.
     """
 
     def __init__(self, context: Context) -> None:

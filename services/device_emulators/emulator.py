@@ -21,11 +21,7 @@ SLOWNESS = 10  # one of so many frames of a slow unit is sent
 
 
 def make_emulator(name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> Emulator:
-    """The emulator of a device.
-
-    Raises:
-        ConfigurationError: its port cannot be opened.
-    """
+    """The emulator of a device. Raises ConfigurationError: its port cannot be opened."""
     emulator: Emulator = KINDS[robot.tables.devices[name].kind].load_emulator()(name, instance, settings, robot)
     return emulator
 
@@ -63,8 +59,7 @@ class FaultSwitches:
     def inject(self, unit: str, fault: EmulatedFault, until: float = math.inf) -> None:
         """Inject a fault until a time [s of the emulators' clock]; a past time ends it.
 
-        Raises:
-            NoSuchFaultError: unknown unit, or a fault that it cannot have.
+        Raises NoSuchFaultError: unknown unit, or a fault that it cannot have.
         """
         if unit not in self._kinds:
             raise NoSuchFaultError(f"unit {unit!r}: expected one of {', '.join(self._kinds)}")

@@ -105,8 +105,7 @@ class SimulatedRobot:
     def advance(self, steps: int) -> None:
         """Advance by physics steps; the plant moves only after release.
 
-        Raises:
-            SimulationDivergedError: the state is not finite.
+        Raises SimulationDivergedError: the state is not finite.
         """
         self.time += steps * self.plant.step_time
         if not self.released:

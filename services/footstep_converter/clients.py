@@ -221,9 +221,7 @@ class Frames:
     def in_odom(self, frame: str, stamp: int) -> Pose | None:
         """Pose of a frame in odom at a time [ns]; 0: latest. None: the frame is odom.
 
-        Raises:
-            TooNewError: not yet received for that time.
-            TransformError: unknown.
+        Raises TooNewError: not yet received for that time; TransformError: unknown.
         """
         if frame.lstrip("/") == self._odom:
             return None

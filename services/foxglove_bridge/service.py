@@ -28,8 +28,7 @@ BACKLOG = 4096  # Messages queued per client; then the oldest are dropped
 class FoxgloveBridge:
     """WebSocket server of Foxglove's protocol, with a ROS node for the watched topics.
 
-    Raises:
-        ConfigurationError: the library is not installed, or the address of the settings is not available.
+    Raises ConfigurationError: the library is not installed, or the address of the settings is not available.
     """
 
     def __init__(self, context: Context) -> None:

@@ -24,11 +24,7 @@ class World:
     """Shapes of a world."""
 
     def __init__(self, settings: Settings, robot: RobotDescription) -> None:
-        """Load the world of the settings, scaled to the robot.
-
-        Raises:
-            ConfigurationError: the world does not exist.
-        """
+        """Load the world of the settings, scaled to the robot. Raises ConfigurationError: the world does not exist."""
         self._model = worlds.load(settings.world, settings.seed, worlds.size_of(robot)).compile()
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)

@@ -265,8 +265,7 @@ class HdtDriver:
     def _diagnose(self, now: float) -> None:
         """Publish the status of the driver and its limbs, if that is due or has changed.
 
-        Raises:
-            ConfigurationError: a limb has another identity than in robot.yaml, before all limbs responded once.
+        Raises ConfigurationError: a limb has another identity than in robot.yaml, before all limbs responded once.
         """
         wrong = {each.limb.name: each.wrong for each in self._bus.limbs if each.wrong}
         if not self._ready:

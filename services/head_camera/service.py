@@ -45,8 +45,7 @@ _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class HeadCamera:
     """``camera/image_raw/compressed`` and ``camera/camera_info``; its frame in ``/tf_static``.
 
-    Raises:
-        ConfigurationError: off-screen OpenGL is not available.
+    Raises ConfigurationError: off-screen OpenGL is not available.
     """
 
     def __init__(self, context: Context) -> None:
@@ -154,11 +153,7 @@ def pose_in_body(robot: RobotDescription) -> Pose:
 
 
 def view(robot: RobotDescription, world: str, seed: int) -> Scene:
-    """Return the scene seen by the camera.
-
-    Raises:
-        RenderingError: off-screen OpenGL is not available.
-    """
+    """Return the scene seen by the camera. Raises RenderingError: off-screen OpenGL is not available."""
     place = pose_in_body(robot)
 
     def add(spec: mujoco.MjSpec) -> None:

@@ -181,11 +181,7 @@ class Goals:
             self._expired.add(number)
 
     def end(self, number: int, content: bytes) -> None:
-        """Process the robot's result.
-
-        Raises:
-            SealError: malformed.
-        """
+        """Process the robot's result. Raises SealError: malformed."""
         if (found := self._active.pop(number, None)) is None:
             return
         index, handle = found

@@ -169,11 +169,7 @@ class Progress:
         self._newest: tuple[int, bytes] = (0, b"")
 
     def steps(self, content: bytes) -> None:
-        """Store the steps of an active plan.
-
-        Raises:
-            SealError: malformed.
-        """
+        """Store the steps of an active plan. Raises SealError: malformed."""
         self._steps[checksum(content)] = packed_steps.unpack(content)
         if self._newest[1] and checksum_of(self._newest[1]) == checksum(content):  # received after its feedback
             self.plan(*self._newest)
@@ -183,8 +179,7 @@ class Progress:
     def plan(self, number: int, content: bytes) -> None:
         """Publish the feedback of a plan; ``number``: link id of its goal, 0 if another client sent it.
 
-        Raises:
-            SealError: malformed.
+        Raises SealError: malformed.
         """
         message = unpack_feedback(content, self._steps, self._frame)
         self._newest = (number, content)
@@ -193,11 +188,7 @@ class Progress:
         self._feedback.publish(message)
 
     def hand(self, place: int, content: bytes) -> None:
-        """Publish the status of a hand goal.
-
-        Raises:
-            SealError: malformed.
-        """
+        """Publish the status of a hand goal. Raises SealError: malformed."""
         if not 0 <= place < len(HANDS):
             raise SealError(f"hand {place}; expected one of {len(HANDS)}")
         self._hands[place].publish(unpack_hand(content, place))

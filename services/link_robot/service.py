@@ -24,11 +24,7 @@ class LinkRobot:
     """Serves one operator's end."""
 
     def __init__(self, context: Context) -> None:
-        """Join ROS and open the sockets.
-
-        Raises:
-            ConfigurationError: no keys, or a port is in use.
-        """
+        """Join ROS and open the sockets. Raises ConfigurationError: no keys, or a port is in use."""
         self._context = context
         self._settings = context.settings.link
         session = create_session(context.instance, context.name, context.robot)

@@ -52,11 +52,7 @@ class ControlModeTable(Table):
 
     @classmethod
     def load(cls, file: Path = FILE) -> ControlModeTable:
-        """Read the table.
-
-        Raises:
-            ConfigurationError: the file or a key is missing or invalid.
-        """
+        """Read the table. Raises ConfigurationError: the file or a key is missing or invalid."""
         return read(cls, file)
 
     def without(self, controllers: Collection[str], lacking: str) -> Self:
@@ -136,9 +132,7 @@ def admit(table: ControlModeTable, requested: str, current: str, behavior: str, 
     """Mode that a request leads to, by name in any case or as the emergency stop.
 
     ``behavior``: of the Motion System; ``under_way``: target of a change in progress, empty if there is none.
-
-    Raises:
-        ModeRejectedError: the request is rejected.
+    Raises ModeRejectedError: the request is rejected.
     """
     modes, target = table.modes, Target(requested.strip().lower())
     if target.mode == EMERGENCY_STOP:

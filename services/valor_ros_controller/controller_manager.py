@@ -46,11 +46,7 @@ class ControllerManager:
         self.active: tuple[str, ...] = ()  # names of the active controllers, sorted; a new object on each change
 
     def check(self, names: Sequence[str], where: str) -> None:
-        """Check that all names exist.
-
-        Raises:
-            ConfigurationError: one does not; ``where`` names the table.
-        """
+        """Check that all names exist. Raises ConfigurationError: one does not; ``where`` names the table."""
         if unknown := [name for name in names if name not in self.controllers]:
             known = ", ".join(self.controllers) or "none"
             raise ConfigurationError(f"{where}: unknown controller {unknown[0]!r}; the {self.name} manager has {known}")

@@ -165,9 +165,7 @@ class UpdateQueue:
     def call(self, function: Callable[[], T]) -> T:
         """Return the result of a function run in the update thread; from any other thread.
 
-        Raises:
-            TimeoutError: the update loop does not run.
-            Exception: of the function.
+        Raises TimeoutError: the update loop does not run; Exception: of the function.
         """
         future: Future[T] = Future()
 

@@ -63,11 +63,7 @@ class ValorRosController:
     """Valor ROS Controller."""
 
     def __init__(self, context: Context) -> None:
-        """Create all parts.
-
-        Raises:
-            ConfigurationError: a table, a parameter or the robot's model is invalid.
-        """
+        """Create all parts. Raises ConfigurationError: a table, a parameter or the robot's model is invalid."""
         self._context = context
         tree = KinematicTree.load(context.robot)
         sys.setswitchinterval(SWITCH_INTERVAL)
@@ -240,8 +236,7 @@ def _declare_settings(
 ) -> None:
     """Declare the parameters of a controller, named as ``joint_trajectory_controller``'s; defaults from ``config``.
 
-    Raises:
-        ConfigurationError: one was set to an invalid value at start.
+    Raises ConfigurationError: one was set to an invalid value at start.
     """
     joints = controller.limits.names
     values = config.parameters(joints)

@@ -89,8 +89,7 @@ class ValorEscherHWInterface:
     def claim(self, controller: str, joints: Indices) -> None:
         """Make a controller the only writer of joints.
 
-        Raises:
-            JointClaimError: another controller has claimed one of them; nothing changed.
+        Raises JointClaimError: another controller has claimed one of them; nothing changed.
         """
         for joint in joints.tolist():
             owner = self.claims.get(joint, controller)

@@ -58,8 +58,7 @@ class _Contents:
 def recover(path: Path) -> RecoveredBag:
     """Finish an unfinished bag; a finished one stays unchanged.
 
-    Raises:
-        BagError: the file is missing, not MCAP, being recorded, not writable, or finished with a damaged index.
+    Raises BagError: the file is missing, not MCAP, being recorded, not writable, or finished with a damaged index.
     """
     try:
         with open(path, "r+b") as file:

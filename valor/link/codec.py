@@ -85,11 +85,7 @@ class Unpacker:
     """Decodes symbols."""
 
     def __init__(self, data: bytes) -> None:
-        """Start.
-
-        Raises:
-            CodecError: malformed.
-        """
+        """Start. Raises CodecError: malformed."""
         if not data or len(data) > LONGEST or not data[0]:
             raise CodecError(f"{len(data)} bytes; expected 1 to {LONGEST}, the first not 0")
         self._state = int.from_bytes(data, "big")
@@ -100,11 +96,7 @@ class Unpacker:
         return value
 
     def finish(self) -> None:
-        """Check that all symbols have been taken.
-
-        Raises:
-            CodecError: more or fewer symbols than taken.
-        """
+        """Check that all symbols have been taken. Raises CodecError: more or fewer symbols than taken."""
         if self._state != BEGIN:
             raise CodecError("more or fewer symbols than expected")
 
@@ -223,11 +215,7 @@ class Codec:
 
     @staticmethod
     def distance(data: bytes) -> int:
-        """Distance of the reference, in frames; 0: absolute.
-
-        Raises:
-            CodecError: malformed.
-        """
+        """Distance of the reference, in frames; 0: absolute. Raises CodecError: malformed."""
         return Unpacker(data).take(DISTANCE)
 
     def decode(self, data: bytes, reference: Frame | None = None) -> Frame:
@@ -311,11 +299,7 @@ class Receiver:
         self._seen: OrderedDict[int, Frame] = OrderedDict()
 
     def decode(self, data: bytes, number: int) -> Frame:
-        """Decode frame ``number``.
-
-        Raises:
-            CodecError: like ``Codec.decode``.
-        """
+        """Decode frame ``number``. Raises CodecError: like ``Codec.decode``."""
         distance = self._codec.distance(data)
         frame = self._codec.decode(data, self._seen.get(number - distance) if distance else None)
         self._seen[number] = frame

@@ -110,10 +110,7 @@ class LinkEndpoint:
     def send(self, kind: MessageClass, content: bytes, now: float) -> int:
         """Send a message until it is acknowledged or its deadline passes; returns its id.
 
-        A stop removes all commands that wait.
-
-        Raises:
-            SealError: no session, or the message is too long.
+        A stop removes all commands that wait. Raises SealError: no session, or the message is too long.
         """
         lifetime = BY_CLASS[kind].deadline
         if not self.session.established:

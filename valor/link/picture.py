@@ -47,11 +47,7 @@ class Picture:
 
     @classmethod
     def decode(cls, data: bytes) -> Picture:
-        """Inverse of ``encode``.
-
-        Raises:
-            SealError: too short.
-        """
+        """Inverse of ``encode``. Raises SealError: too short."""
         if len(data) < _PICTURE.size:
             raise SealError(f"PICTURE: {len(data)} bytes; expected at least {_PICTURE.size}")
         clock, form, frame = _PICTURE.unpack_from(data)
@@ -123,11 +119,7 @@ class PictureReceiver:
         self._complete = self._acknowledge = False
 
     def take(self, body: bytes) -> Picture | None:
-        """Process a chunk; returns the picture when it is complete.
-
-        Raises:
-            SealError: malformed.
-        """
+        """Process a chunk; returns the picture when it is complete. Raises SealError: malformed."""
         if len(body) < _CHUNK.size:
             raise SealError(f"PICTURE: {len(body)} bytes; expected at least {_CHUNK.size}")
         number, index, count = _CHUNK.unpack_from(body)

@@ -48,11 +48,7 @@ class Message:
 
     @classmethod
     def read(cls, kind: MessageClass, body: bytes) -> Message:
-        """Inverse of ``record``.
-
-        Raises:
-            SealError: malformed.
-        """
+        """Inverse of ``record``. Raises SealError: malformed."""
         dated = BY_CLASS[kind].deadline is not None
         size = _MESSAGE.size + (_DEADLINE.size if dated else 0)
         if len(body) < size:
@@ -65,11 +61,7 @@ class Message:
 
 
 def split(kind: MessageClass, number: int, deadline: int, content: bytes) -> list[Message]:
-    """Parts of a message.
-
-    Raises:
-        SealError: longer than 255 parts.
-    """
+    """Parts of a message. Raises SealError: longer than 255 parts."""
     size = BY_CLASS[kind].part_size
     pieces = [content[at : at + size] for at in range(0, len(content), size)] or [b""]
     if len(pieces) > _LONG:
@@ -84,11 +76,7 @@ def record(kind: MessageClass, body: bytes) -> bytes:
 
 
 def records(data: bytes) -> Iterator[tuple[MessageClass, bytes]]:
-    """Records of a datagram.
-
-    Raises:
-        SealError: an unknown class, or a record that exceeds the datagram.
-    """
+    """Records of a datagram. Raises SealError: an unknown class, or a record that exceeds the datagram."""
     at = 0
     while at < len(data):
         try:
@@ -126,11 +114,7 @@ class Acknowledgement:
 
     @classmethod
     def read(cls, body: bytes) -> Acknowledgement:
-        """Inverse of ``record``.
-
-        Raises:
-            SealError: malformed.
-        """
+        """Inverse of ``record``. Raises SealError: malformed."""
         first = _ACKNOWLEDGEMENT.size
         if len(body) < first or (len(body) - first) % _ACKNOWLEDGED.size:
             raise SealError(f"ACKNOWLEDGEMENT: {len(body)} bytes")
@@ -156,11 +140,7 @@ class Outbox:
         self._next = 1
 
     def put(self, kind: MessageClass, content: bytes, now: float, deadline: int = NO_DEADLINE) -> int:
-        """Queue a message; returns its id.
-
-        Raises:
-            SealError: too long, or too many messages of its class wait.
-        """
+        """Queue a message; returns its id. Raises SealError: too long, or too many messages of its class wait."""
         self._make_room(kind)
         number = self._next
         for part in split(kind, number, deadline, content):

@@ -126,8 +126,7 @@ class Session:
     def receive(self, data: bytes) -> bytes:
         """Process a datagram of the handshake; returns the reply, empty if there is none.
 
-        Raises:
-            SealError: not from the other end, of another robot, or of an earlier handshake.
+        Raises SealError: not from the other end, of another robot, or of an earlier handshake.
         """
         kind = data[:1]
         if self._robot_end and kind == bytes((HELLO,)):
@@ -185,11 +184,7 @@ class Session:
         return self._keys.counter + 1 if self._keys else 0
 
     def seal(self, records: bytes) -> bytes:
-        """Sealed datagram.
-
-        Raises:
-            SealError: no session.
-        """
+        """Sealed datagram. Raises SealError: no session."""
         if self._keys is None:
             raise SealError("no session")
         return self._keys.seal(records)
@@ -197,8 +192,7 @@ class Session:
     def open(self, data: bytes) -> tuple[bytes, int]:
         """Records of a sealed datagram, and its counter; the first one of a new session starts it.
 
-        Raises:
-            SealError: not of this session, corrupted, too old or received before.
+        Raises SealError: not of this session, corrupted, too old or received before.
         """
         if len(data) < OVERHEAD:
             raise SealError("datagram too short")

@@ -66,11 +66,7 @@ def type_hash(type_name: str) -> str:
 
 
 def message_type(type_name: str) -> type:
-    """Python class of a type.
-
-    Raises:
-        UnknownTypeError: it is not installed.
-    """
+    """Python class of a type. Raises UnknownTypeError: it is not installed."""
     package, kind, base = type_name.split("/")
     try:
         module = importlib.import_module(f"{package}.{kind}")

@@ -23,8 +23,7 @@ START_TIMEOUT = 5.0  # for the first datagram of the other end [s]
 def create_session(instance: Instance, name: str, robot: RobotDescription) -> Session:
     """Session of the end ``name``, with a secret derived from both ends' Bifrost keys.
 
-    Raises:
-        ConfigurationError: the instance's network has no keys of both ends.
+    Raises ConfigurationError: the instance's network has no keys of both ends.
     """
     secret = instance.link_key.read_bytes() if instance.link_key.exists() else _secret_of_processes(instance, name)
     print_ = fingerprint(repr(FIELDS).encode(), robot.file.read_bytes(), robot.model_file.read_bytes())

@@ -110,11 +110,7 @@ class MessageCodec:
         return deflate.compress(serialize_message(message)) + deflate.flush()
 
     def unpack(self, data: bytes, kind: Any) -> Any:
-        """Inverse of ``pack``; ``kind``: type of the message.
-
-        Raises:
-            SealError: not a message of this type.
-        """
+        """Inverse of ``pack``; ``kind``: type of the message. Raises SealError: not a message of this type."""
         if kind is not ExecuteStepPlan.Goal:
             return self._inflate(data, kind)
         size = int.from_bytes(data[:2], "big")
@@ -137,11 +133,7 @@ def pack_message(type_: LinkMessageType, number: int, content: bytes = b"") -> b
 
 
 def unpack_message(data: bytes) -> tuple[LinkMessageType, int, bytes]:
-    """Type, number and content.
-
-    Raises:
-        SealError: too short, or of an unknown type.
-    """
+    """Type, number and content. Raises SealError: too short, or of an unknown type."""
     try:
         type_ = LinkMessageType(data[0])
     except (IndexError, ValueError):

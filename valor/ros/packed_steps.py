@@ -45,11 +45,7 @@ def pack(steps: Sequence[Step]) -> bytes | None:
 
 
 def unpack(data: bytes) -> list[Step]:
-    """Inverse of ``pack``.
-
-    Raises:
-        SealError: malformed.
-    """
+    """Inverse of ``pack``. Raises SealError: malformed."""
     if not data:
         return []
     try:
@@ -123,8 +119,7 @@ def varint(number: int) -> bytes:
 def varints(data: bytes, at: int = 0, count: int | None = None) -> tuple[list[int], int]:
     """Decode ``count`` numbers from ``at`` on, or all; also returns the index of their end.
 
-    Raises:
-        SealError: a number longer than 63 bits, or fewer numbers.
+    Raises SealError: a number longer than 63 bits, or fewer numbers.
     """
     found: list[int] = []
     number = shift = 0

@@ -39,8 +39,7 @@ class Parameters:
     ) -> T:
         """Declare a parameter and read it; it is read-only without ``on_change``, called in the ROS thread.
 
-        Raises:
-            ConfigurationError: it was set at start to a value of another type or out of range.
+        Raises ConfigurationError: it was set at start to a value of another type or out of range.
         """
         descriptor = ParameterDescriptor(description=description, read_only=on_change is None)
         if values and isinstance(default, int):

@@ -27,11 +27,7 @@ class PreparedMessage:
     """
 
     def __init__(self, message: Any, count: int) -> None:
-        """Find the ``count`` marked numbers and the stamps.
-
-        Raises:
-            ValueError: a mark is missing or occurs twice.
-        """
+        """Find the ``count`` marked numbers and the stamps. Raises ValueError: a mark is missing or occurs twice."""
         raw = bytes(serialize_message(message))
         self._length = len(raw)
         self._bytes = bytearray(raw + bytes(-(len(raw) - _ENCAPSULATION) % 8))

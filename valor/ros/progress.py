@@ -90,11 +90,7 @@ def pack_hand(status: HandGoalStatus) -> bytes:
 
 
 def unpack_hand(data: bytes, hand: int) -> HandGoalStatus:
-    """Inverse of ``pack_hand``; ``hand``: index in ``HANDS``.
-
-    Raises:
-        SealError: malformed.
-    """
+    """Inverse of ``pack_hand``; ``hand``: index in ``HANDS``. Raises SealError: malformed."""
     try:
         stamp, state, position, orientation = _HAND.unpack_from(data)
     except struct.error:

@@ -26,8 +26,7 @@ class SimulationDivergedError(ValorError):
 def scene(robot: RobotDescription, world: str, seed: int, shapes: Shapes) -> mujoco.MjSpec:
     """Robot and world of a seed, not compiled.
 
-    Raises:
-        ConfigurationError: unknown world, or the robot's files are invalid.
+    Raises ConfigurationError: unknown world, or the robot's files are invalid.
     """
     spec, surroundings = robot_spec(robot, shapes, passive=True), worlds.load(world, seed, worlds.size_of(robot))
     surroundings.option = spec.option
@@ -90,11 +89,7 @@ class Plant:
         return position
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` physics steps.
-
-        Raises:
-            SimulationDivergedError: the state is not finite.
-        """
+        """Advance by ``count`` physics steps. Raises SimulationDivergedError: the state is not finite."""
         model, data, update = self.model, self.data, self.actuators.update
         for _ in range(count):
             self._applied[model.dof] = update(self._qpos[model.qpos], self._qvel[model.dof])

@@ -9,8 +9,7 @@ from valor.comms_manager.hardware.device import DeviceError, Fault, UnitFault, U
 def require_identity(unit: str, table: object, **reported: object) -> None:
     """Compare the reported identity of a unit (model, serial, firmware) with its table in robot.yaml.
 
-    Raises:
-        DeviceError: names the unit, the difference, and the expectation.
+    Raises DeviceError: names the unit, the difference, and the expectation.
     """
     for key, value in reported.items():
         if value != (expected := getattr(table, key)):

@@ -203,15 +203,13 @@ class Device(ABC):
     def find(self) -> None:
         """Open the port, check every unit's identity, and receive a first state with calibration applied.
 
-        Raises:
-            DeviceError: names the device, the unit, and what was expected.
+        Raises DeviceError: names the device, the unit, and what was expected.
         """
 
     def enable(self) -> None:  # noqa: B027 (sensors have no motors)
         """Switch the motors on; the joints stay where they are.
 
-        Raises:
-            DeviceError: a unit does not respond, or rejects the request.
+        Raises DeviceError: a unit does not respond, or rejects the request.
         """
 
     def part(self, unit: str) -> Part:

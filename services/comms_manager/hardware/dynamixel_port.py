@@ -84,11 +84,7 @@ class StatusReader(GroupSyncRead):  # type: ignore[misc]
         self.corrupt = 0  # number of cycles with enough bytes for a further response
 
     def read(self) -> dict[int, Answer]:
-        """Responses by servo, of those that responded in time.
-
-        Raises:
-            DynamixelError: the request could not be sent.
-        """
+        """Responses by servo, of those that responded in time. Raises DynamixelError: the request could not be sent."""
         wanted = len(self.data_dict)
         if not wanted:
             return {}

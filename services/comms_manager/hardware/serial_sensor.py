@@ -61,8 +61,7 @@ class SerialSensor(Device):
     def _begin(self, tries: int) -> None:
         """Check the sensor's identity, and set it up to stream; ``tries`` per command.
 
-        Raises:
-            DeviceError: another sensor, or an unexpected response; ``NoAnswerError``: no response.
+        Raises DeviceError: another sensor, or an unexpected response; ``NoAnswerError``: no response.
         """
 
     @abstractmethod

@@ -50,8 +50,7 @@ class RosThread(threading.Thread):
     def __init__(self, context: Context) -> None:
         """Join the instance's ROS domain with the command line's ROS arguments.
 
-        Raises:
-            ConfigurationError: invalid ROS arguments.
+        Raises ConfigurationError: invalid ROS arguments.
         """
         super().__init__(name="ros", daemon=True)
         environment = context.instance.environment()

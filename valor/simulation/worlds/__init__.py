@@ -44,9 +44,7 @@ def load(name: str, seed: int, size: float = 1.0) -> mujoco.MjSpec:
     """A world's spec: ground and fixtures, for a robot of a ``size_of``.
 
     Geoms that the robot touches have ``contype`` 1 (see the defaults of a robot's ``model.xml``).
-
-    Raises:
-        ConfigurationError: unknown world.
+    Raises ConfigurationError: unknown world.
     """
     require_one_of("world", name, WORLDS)
     spec = mujoco.MjSpec()
@@ -76,8 +74,7 @@ def size_of(robot: RobotDescription) -> float:
 def heights(name: str, seed: int, x: FloatArray, y: FloatArray, size: float = 1.0) -> FloatArray:
     """(ny, nx) height of the ground at x (nx,) and y (ny,) [m], for pictures and experiments.
 
-    Raises:
-        ConfigurationError: unknown world.
+    Raises ConfigurationError: unknown world.
     """
     model = load(name, seed, size).compile()
     data = mujoco.MjData(model)
