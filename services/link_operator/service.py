@@ -44,6 +44,7 @@ from valor.service import Context
 STATUS_PERIOD = 0.2  # [s]
 OLD = 1.0  # age of the state from which on the status is a warning [s]
 LONGEST_AHEAD = 0.25  # robot time that is published without another state [s]
+STOP_WINDOW = 0.5  # after a stop, in which DDS may still deliver what was sent before it on another topic [s]
 REJECTIONS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 WITH_STOP = "received together with a stop; send it again if it is still wanted"
 _RESTARTED = "the link was restarted; result unknown"
@@ -78,7 +79,7 @@ class LinkOperator:
         self._republisher = Republisher(node, context.robot, settings)
         self._history = CommandHistory()
         self._waiting: list[tuple[int, Callable[[], None]]] = []  # commands with their times of reception [ns]
-        self._stopped = False  # whether a stop has been received since the last turn
+        self._stopped_at = -math.inf  # monotonic time of the latest stop [s]
         self._goals = Goals(node, self._end, self._codec, self._history, self._send_waiting)
         self._progress = Progress(node, f"{settings.frame_prefix}{ODOM}", self._goals.feedback)
         self._rejections = node.create_publisher(Rejection, "flor/controller/rejection", REJECTIONS)
@@ -96,7 +97,6 @@ class LinkOperator:
 
     def _turn(self, now: float) -> None:
         self._send_waiting()
-        self._stopped = False
         for event in self._end.events():
             self._process(event)
         self._publish_state(now)
@@ -124,7 +124,7 @@ class LinkOperator:
         content = pack_message(LinkMessageType.TOPIC, index, self._codec.pack(message))
         if kind is MessageClass.STOP:
             self._send(command.name, kind, content)
-            self._stopped = True
+            self._stopped_at = time.monotonic()
         else:
             self._waiting.append(
                 (info.get("received_timestamp") or 0, partial(self._send, command.name, kind, content))
@@ -135,12 +135,12 @@ class LinkOperator:
         waiting, self._waiting = self._waiting, []
         for _, send in sorted(waiting, key=itemgetter(0)):
             send()
-        return WITH_STOP if self._stopped else ""
+        return WITH_STOP if time.monotonic() - self._stopped_at < STOP_WINDOW else ""
 
     def _send(self, topic: str, kind: MessageClass, content: bytes) -> None:
         now = time.monotonic()
         try:
-            if self._stopped and kind is not MessageClass.STOP:
+            if kind is not MessageClass.STOP and now - self._stopped_at < STOP_WINDOW:
                 raise SealError(WITH_STOP)
             if kind is MessageClass.STREAM:
                 self._end.stream(kind, content, now)
