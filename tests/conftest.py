@@ -35,6 +35,5 @@ def ros_domain() -> Iterator[int]:
 
 @pytest.fixture
 def instance(home: Path) -> Iterator[RunningInstance]:
-    """A ``fresh_instance`` of the test's own."""
     with fresh_instance(home) as running:
         yield running

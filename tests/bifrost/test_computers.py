@@ -118,11 +118,8 @@ def test_a_stopped_daemon_is_unreachable_until_it_continues(two_computers: Bifro
 
 
 # --- two computers with a cable between them --------------------------------------------------------------------------
-
-
 @pytest.fixture
 def cabled(tmp_path: Path) -> Iterator[tuple[BifrostNetwork, Computers]]:
-    """Two computers on a switch."""
     try:
         with computers("near", "far", network=os.getpid() % 250) as cables:
             made = BifrostNetwork(

@@ -16,17 +16,8 @@ import bifrost
 from bifrost import Grants, directory
 from bifrost.network import own_key_file, read_grants
 from bifrost.security import connect
-from harness.bifrost_network import (
-    Answer,
-    BifrostNetwork,
-    Question,
-    Sample,
-    connected,
-    going_on,
-    sample,
-    two_computers,
-    until,
-)
+from harness import bifrost_network
+from harness.bifrost_network import Answer, BifrostNetwork, Question, Sample, connected, going_on, sample, until
 from valor.valorctl.instance.ros_domain import daemon_ports
 
 OWNED, FREE, SERVICE = "arm/motor", "lab/free", "arm/ask"
@@ -37,7 +28,7 @@ SILENCE = 0.3  # in which a message would have come [s]
 def lasting(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator[BifrostNetwork]:
     """Two computers, near and far; the arm owns a topic and a service, the recorder another topic."""
     folder, ports = tmp_path_factory.mktemp("granted"), daemon_ports(ros_domain)
-    computers = two_computers(folder, ports)
+    computers = bifrost_network.two_computers(folder, ports)
     publishers = {OWNED: ["arm", "spare"], "recorder/state": ["recorder"]}
     made = BifrostNetwork(folder, ports, computers, publishers, {SERVICE: ["arm"]})
     made.start_daemon("near")

@@ -44,16 +44,12 @@ class Rogue:
         return b"lab/sample\0" + wire.PUBLICATION.pack(wire.VERSION, schema, incarnation, sequence, now, length)
 
     def send(self, frame: bytes) -> None:
-        """To all that subscribe."""
         self.socket.send(frame)
 
     def say(self, count: int, **envelope: int) -> None:
-        """A message."""
         self.send(self.header(**envelope) + bifrost.codec(Sample).encode(sample(count)))  # type: ignore[arg-type]
 
     def received_by(self, subscriber: bifrost.Subscriber[Sample]) -> None:
-        """Speak until the subscriber receives it."""
-
         def arrived() -> bool:
             self.say(1)
             return subscriber.receive(timeout=0.05) is not None

@@ -24,7 +24,6 @@ class Number(bifrost.Message):
 
 @contextmanager
 def served(server: bifrost.Server[Question, Answer]) -> Iterator[None]:
-    """Serve in a thread of its own."""
     with going_on(lambda: bifrost.wait([server], timeout=0.05) and server.serve()):
         yield
 
@@ -34,7 +33,6 @@ def client_of(net: BifrostNetwork, name: str = "asker") -> bifrost.Client[Questi
 
 
 def handled(client: bifrost.Client[Question, Answer]) -> int:
-    """How many questions the server has handled."""
     return client.call(Question("count", 0.0), timeout=60.0).handled
 
 

@@ -58,7 +58,6 @@ class Tap:
             client.shutdown(sockets.SHUT_WR)
 
     def close(self) -> None:
-        """Close everything."""
         self._listener.close()
         for each in self._open:
             with contextlib.suppress(OSError):  # it has ended
@@ -98,7 +97,6 @@ class Party:
         self.settled = self._at_rest()
 
     def tap(self, port: int) -> Tap:
-        """A proxy before one of the ports."""
         self.taps.append(Tap(port))
         return self.taps[-1]
 
@@ -114,7 +112,6 @@ class Party:
             assert newcomer.subscriber("lab/sample", Sample).receive(timeout=PATIENCE) is not None
 
     def descriptors(self) -> list[int]:
-        """Of each process."""
         return [psutil.Process(pid).num_fds() for pid in self.pids]
 
     def _at_rest(self) -> list[int]:
@@ -168,7 +165,6 @@ def party(tmp_path_factory: pytest.TempPathFactory, ros_domain: int) -> Iterator
 
 
 def listened(socket: zmq.Socket[bytes]) -> None:
-    """Subscribe, and hear something."""
     socket.setsockopt(zmq.SUBSCRIBE, b"lab/sample\0")
     assert socket.poll(10_000)
 

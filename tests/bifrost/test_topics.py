@@ -19,8 +19,6 @@ pytestmark = pytest.mark.portable
 
 
 class Other(bifrost.Message):
-    """Another type for the same topic."""
-
     count: float
 
 

@@ -44,8 +44,6 @@ class Newest(Generic[M]):
 
 
 class Watch:
-    """What the Comms Manager reports beside Proprioceptor."""
-
     def __init__(self, node: bifrost.Node) -> None:
         self.clock = Newest(node, CLOCK)
         self.statistics = Newest(node, STATISTICS["comms_manager"])

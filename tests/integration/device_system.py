@@ -14,14 +14,8 @@ import numpy as np
 from harness.instance import RunningInstance, fresh_instance
 from harness.waiting import PATIENCE, wait_until
 from tests.integration.comms_manager_alone import Newest
-from valor.common.messages import (
-    BehaviorRequest,
-    DeviceStatus,
-    FaultRequest,
-    JointSetpoints,
-    MotionState,
-    Proprioceptor,
-)
+from valor.common import messages
+from valor.common.messages import BehaviorRequest, DeviceStatus, FaultRequest, JointSetpoints, MotionState
 from valor.common.topics import BEHAVIOR, DEVICES, FAULT, JOINT_SETPOINTS, MOTION_STATE, PROPRIOCEPTOR, STATISTICS
 from valor.robot.description import RobotDescription
 
@@ -44,7 +38,7 @@ class RobotOnDevices:
         self._fault = FAULT.client(self.node)
         self.robot = RobotDescription.load(running.settings.robot)
 
-    def measured(self) -> Proprioceptor:
+    def measured(self) -> messages.Proprioceptor:
         received = self._measured.receive(PATIENCE)
         assert received is not None
         return received.message

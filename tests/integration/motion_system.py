@@ -6,34 +6,10 @@ import numpy as np
 
 from harness.instance import RunningInstance
 from harness.waiting import wait_until
+from valor.common import messages, topics
 from valor.common.behaviors import Behavior
-from valor.common.messages import (
-    BehaviorReply,
-    BehaviorRequest,
-    Footstep,
-    FootstepPlanReply,
-    FootstepPlanRequest,
-    GroundTruth,
-    JointSetpoints,
-    MotionState,
-    PushRequest,
-    Rejection,
-    StepStatus,
-    VelocityCommand,
-)
-from valor.common.topics import (
-    BEHAVIOR,
-    FOOTSTEP_PLAN,
-    GROUND_TRUTH,
-    JOINT_SETPOINTS,
-    MOTION_STATE,
-    MOTOR,
-    PUSH,
-    REJECTION,
-    STATISTICS,
-    STEP_STATUS,
-    VELOCITY,
-)
+from valor.common.messages import BehaviorReply, BehaviorRequest, GroundTruth, MotionState, StepStatus, VelocityCommand
+from valor.common.topics import BEHAVIOR, FOOTSTEP_PLAN, GROUND_TRUTH, JOINT_SETPOINTS, MOTION_STATE, MOTOR, PUSH
 
 STANDING = 0.7  # the pelvis of a standing robot is higher [m]
 
@@ -46,17 +22,17 @@ class MotionSystem:
         node = instance.node()
         self._states = MOTION_STATE.subscriber(node, queue=20_000)
         self._truth = GROUND_TRUTH.subscriber(node)
-        self._rejections = REJECTION.subscriber(node, queue=1000)
-        self._statistics = STATISTICS["motion_manager"].subscriber(node)
+        self._rejections = topics.REJECTION.subscriber(node, queue=1000)
+        self._statistics = topics.STATISTICS["motion_manager"].subscriber(node)
         self.motors = MOTOR.subscriber(node)
         self._setpoints = JOINT_SETPOINTS.publisher(node)
-        self._velocity = VELOCITY.publisher(node)
+        self._velocity = topics.VELOCITY.publisher(node)
         self._behavior = BEHAVIOR.client(node)
         self._footsteps = FOOTSTEP_PLAN.client(node)
         self._push = PUSH.client(node)
-        self._steps = STEP_STATUS.subscriber(node, queue=1000)
+        self._steps = topics.STEP_STATUS.subscriber(node, queue=1000)
         self.history: list[MotionState] = []
-        self.rejections: list[Rejection] = []
+        self.rejections: list[messages.Rejection] = []
         self.statuses: list[StepStatus] = []
         self._ground_truth: GroundTruth | None = None
         instance.start("comms_manager")
@@ -136,7 +112,7 @@ class MotionSystem:
 
     def send(self, setpoints: Mapping[str, float], age: float = 0.0, **changes: object) -> None:
         """One message of set-points, as of now."""
-        message = JointSetpoints(
+        message = messages.JointSetpoints(
             time=self.now() - round(age * 1e9),
             names=list(setpoints),
             position=np.array(list(setpoints.values()), dtype=float),
@@ -160,8 +136,8 @@ class MotionSystem:
 
         wait_until(over, 120.0, f"{seconds} s of walking", period=0.02)
 
-    def plan(self, steps: list[Footstep]) -> FootstepPlanReply:
-        return self._footsteps.call(FootstepPlanRequest(steps=steps), timeout=10.0)
+    def plan(self, steps: list[messages.Footstep]) -> messages.FootstepPlanReply:
+        return self._footsteps.call(messages.FootstepPlanRequest(steps=steps), timeout=10.0)
 
     def status(self) -> StepStatus | None:
         """Latest StepStatus; ``statuses`` keeps all."""
@@ -203,7 +179,7 @@ class MotionSystem:
         wait_until(step, 20.0, f"a rejection with {reason!r}; seen: {[r.reason for r in self.rejections]}")
 
     def push(self, impulse: tuple[float, float, float]) -> None:
-        reply = self._push.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=10.0)
+        reply = self._push.call(messages.PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=10.0)
         assert reply.accepted, reply.reason
 
     def forget(self) -> None:

@@ -34,7 +34,6 @@ class Goal:
 
     @property
     def active(self) -> list[Any]:
-        """Feedback while the robot had the plan."""
         return [each for each in self.feedback if each.controller_state == each.ACTIVE]
 
 

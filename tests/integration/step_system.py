@@ -54,8 +54,6 @@ class Stance:
 
 
 class Walker:
-    """A system with a robot in it, a planner's client and an observer."""
-
     def __init__(self, instance: RunningInstance, ros: RosClient) -> None:
         self.instance = instance
         self.ros = ros
@@ -138,7 +136,6 @@ class Walker:
         assert self._push.call(PushRequest(impulse_in_world=np.array(impulse), duration=0.1), timeout=LIMIT).accepted
 
     def status(self) -> list[StepStatus]:
-        """All that the Motion Manager has said of steps."""
         self.statuses += [received.message for received in self._statuses.drain()]
         return self.statuses
 
@@ -149,7 +146,6 @@ class Walker:
 
     @property
     def report(self) -> ControlModeStatus:
-        """The VRC's newest, of its control mode."""
         return self.ros.reports[-1]
 
     def send(self, plan: StepPlan) -> Goal:

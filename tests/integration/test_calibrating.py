@@ -26,7 +26,6 @@ pytestmark = pytest.mark.timeout(900)
 
 @pytest.fixture(scope="module")
 def robot() -> Iterator[RobotDescription]:
-    """ESCHER in a folder that may be written to."""
     with tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home:
         shutil.copytree(ROBOTS / "escher", Path(home) / "escher")
         yield RobotDescription.load(Path(home) / "escher")
@@ -34,7 +33,6 @@ def robot() -> Iterator[RobotDescription]:
 
 @pytest.fixture(scope="module")
 def system(robot: RobotDescription) -> Iterator[System]:
-    """It stands, its arms as they were."""
     options = ("--robot", str(robot.folder), "--actuators", "hdt_arms", "--no-bag")
     with running("calibrating", robot.folder.parent / "home", *options) as made:
         yield made

@@ -14,18 +14,9 @@ from harness.places import REPOSITORY
 from harness.waiting import wait_until
 from tests.integration.comms_manager_alone import Newest, Watch, client_process, start
 from tests.integration.servo_client import ServoClient
+from valor.common import messages
 from valor.common.behaviors import Behavior
-from valor.common.messages import (
-    BehaviorRequest,
-    GroundTruth,
-    JointMode,
-    Motor,
-    Proprioceptor,
-    PushReply,
-    PushRequest,
-    TimeReply,
-    TimeRequest,
-)
+from valor.common.messages import BehaviorRequest, GroundTruth, JointMode, Motor, Proprioceptor, PushReply, PushRequest
 from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.topics import MOTOR, PAUSED, PROPRIOCEPTOR, PUSH, SIMULATED_TIME, STOP
 from valor.comms_manager.simulation.clock import BACKLOG
@@ -36,8 +27,6 @@ WEIGHT = 75.9 * 9.81
 
 
 class Pusher:
-    """A client of ``simulation/push``."""
-
     def __init__(self, node: bifrost.Node) -> None:
         self._client = PUSH.client(node)
 
@@ -278,8 +267,8 @@ def test_time_is_paused_stepped_slowed_down_and_a_stop_lets_it_pass(instance: Ru
     node = instance.node()
     watch, client, stop = Watch(node), SIMULATED_TIME.client(node), STOP.client(node)
 
-    def ask(wanted: str, value: float = 0.0) -> TimeReply:
-        return client.call(TimeRequest(wanted, value), timeout=10.0)
+    def ask(wanted: str, value: float = 0.0) -> messages.TimeReply:
+        return client.call(messages.TimeRequest(wanted, value), timeout=10.0)
 
     assert "has not started" in ask("pause").reason
     with client_process(instance):

@@ -50,7 +50,6 @@ class Three:
         (self.homes["operator"] / "deploy").symlink_to(PROJECT / "deploy")
 
     def environment(self, name: str) -> dict[str, str]:
-        """Environment of a command on a computer."""
         own = {
             key: value for key, value in os.environ.items() if not key.startswith(("ROS_", "FAST", "VALOR", "BIFROST"))
         }
@@ -71,7 +70,6 @@ class Three:
         return done.stdout
 
     def close(self) -> None:
-        """Kill the ssh servers."""
         for server in self.servers:
             server.kill()
             server.wait()

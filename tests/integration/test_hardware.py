@@ -19,8 +19,6 @@ UPRIGHT = 0.7  # of the pelvis: lower, it has fallen [m]
 
 
 class Bench(RobotOnDevices):
-    """Who lets its devices fail."""
-
     def __init__(self, running: RunningInstance) -> None:
         super().__init__(running)
         self._truth = GROUND_TRUTH.subscriber(self.node)

@@ -64,7 +64,6 @@ def up(trio: Hosts) -> Iterator[Hosts]:
 
 @pytest.fixture
 def down(trio: Hosts) -> Hosts:
-    """The instance is down."""
     if left(trio):
         trio.valorctl("operator", "down", "--deployment", str(trio.file))
     return trio

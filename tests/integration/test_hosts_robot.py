@@ -36,7 +36,6 @@ def robot() -> Iterator[Hosts]:
 
 
 def motion(robot: Hosts) -> dict[str, Any]:
-    """State that the Motion Manager publishes."""
     said = robot.valorctl("motion", "topic", "echo", "motion_manager/motion_state", "--once", "--json")
     found: dict[str, Any] = json.loads(said)
     state: dict[str, Any] = found.get("message", found)
@@ -61,7 +60,6 @@ def resting(robot: Hosts) -> list[float]:
 
 
 def behavior(robot: Hosts) -> str:
-    """The Motion Manager's."""
     return str(motion(robot)["behavior"])
 
 

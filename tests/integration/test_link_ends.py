@@ -82,10 +82,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RunningI
                     "port_block": reservation.domain, "link": {"domain": theirs.domain}}  # fmt: skip
         made.settings_file.write_text(checked(Settings, settings).json())
         network = bifrost.Network.create(
-            made.network_file,
-            made.keys,
-            ports=daemon_ports(reservation.domain),
-            policy=topics.access_policy(made),
+            made.network_file, made.keys, ports=daemon_ports(reservation.domain), policy=topics.access_policy(made)
         )
         instance = RunningInstance(made, network)
         try:
@@ -134,7 +131,6 @@ def sides(running: tuple[RunningInstance, int]) -> Iterator[tuple[Robot, RosClie
 
 
 def _goal(operator: RosClient, mode: str) -> Any:
-    """The handle of a goal."""
     client = operator._mode
     assert client.wait_for_server(timeout_sec=PATIENCE)
     goal = ChangeControlMode.Goal(mode_request=mode)

@@ -38,14 +38,12 @@ print(ended.result().result.status.status)
 
 
 def run(*command: str, check: bool = True, environment: Mapping[str, str] | None = None) -> str:
-    """Run a command; returns its output."""
     result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False)
     assert not check or result.returncode == 0, f"{' '.join(command)}:\n{result.stdout}{result.stderr}"
     return result.stdout
 
 
 def inside(computer: str) -> tuple[str, ...]:
-    """Prefix of a command that runs on a computer."""
     return ("ip", "netns", "exec", computer)
 
 

@@ -24,7 +24,6 @@ PATIENCE = 120.0  # [s]
 
 
 def settings(system: System) -> Settings:
-    """What the robot was started with."""
     return Instance(system.name, Path(system.environment["VALOR_HOME"])).settings()
 
 
@@ -66,7 +65,6 @@ def test_every_name_is_in_one_namespace_or_everybodys(clients: list[RosClient]) 
 
 
 def received_on(client: RosClient, kind: type, name: str) -> Any:
-    """A message of a topic in the client's namespace."""
     topic = Topic(client, kind, name)
     wait_until(lambda: topic.messages, PATIENCE, f"{name} in {client.node.get_namespace()}")
     topic.close()

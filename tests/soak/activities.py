@@ -149,8 +149,6 @@ def _fallen(rig: Rig, _: random.Random) -> Going:
 
 @dataclass(frozen=True)
 class Activity:
-    """One row of the table."""
-
     begin: Begin  # from Stand
     weight: float  # relative frequency
     held: bool  # the joints stay where they are, whichever process is killed

@@ -19,16 +19,9 @@ import psutil
 
 import bifrost
 from tests.soak.rig import Rig
-from valor.common import topics
+from valor.common import messages, topics
 from valor.common.instance import Instance
-from valor.common.messages import (
-    BalanceWeights,
-    FaultRequest,
-    JointGains,
-    JointSetpoints,
-    PelvisSetpoint,
-    VelocityCommand,
-)
+from valor.common.messages import BalanceWeights, JointGains, JointSetpoints, PelvisSetpoint, VelocityCommand
 from valor.common.topics import BALANCE_WEIGHTS, FAULT, JOINT_GAINS, JOINT_SETPOINTS, PELVIS, VELOCITY
 from valor.robot.description import RobotDescription
 
@@ -50,8 +43,6 @@ Happen = Callable[[Rig, random.Random, str], list[str]]
 
 @dataclass(frozen=True)
 class Event:
-    """One row of the table."""
-
     happen: Happen  # with the rig, chance and the process; returns faults
     weight: float  # relative frequency
     kind: str = ""  # as in ``checks.outcomes``
@@ -154,7 +145,7 @@ def _unplug(rig: Rig, rng: random.Random, unit: str) -> list[str]:
     with bifrost.Node("soak_bench", network=topics.network(rig.instance)) as node:
         fault = FAULT.client(node)
         fault.wait_for_server(5.0)
-        reply = fault.call(FaultRequest(device, name or device, "unplugged", UNPLUGGED), timeout=5.0)
+        reply = fault.call(messages.FaultRequest(device, name or device, "unplugged", UNPLUGGED), timeout=5.0)
     if not reply.accepted:
         return [f"fault refused: {reply.reason}"]
     time.sleep(UNPLUGGED)

@@ -18,31 +18,13 @@ import psutil
 import bifrost
 from harness.system import System, leftovers, shared_memory
 from tests.soak.checks import MotorChecks, unexpected_ends, way
+from valor.common import messages
+from valor.common import topics as common_topics
 from valor.common.behaviors import REFLEX, Behavior
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.messages import (
-    BehaviorReply,
-    BehaviorRequest,
-    ControlModeReport,
-    DeviceStatus,
-    GroundTruth,
-    MotionState,
-    Motor,
-    Proprioceptor,
-    Statistics,
-)
-from valor.common.topics import (
-    BEHAVIOR,
-    CONTROL_MODE,
-    DEVICES,
-    GROUND_TRUTH,
-    MOTION_STATE,
-    MOTOR,
-    PROPRIOCEPTOR,
-    STATISTICS,
-    Topic,
-)
+from valor.common.messages import BehaviorReply, BehaviorRequest, ControlModeReport, MotionState, Motor, Statistics
+from valor.common.topics import BEHAVIOR, CONTROL_MODE, DEVICES, GROUND_TRUTH, MOTION_STATE, MOTOR, PROPRIOCEPTOR, Topic
 from valor.robot.description import RobotDescription
 from valor.valorctl.drive.getting_up import get_up
 from valor.valorctl.instance.supervision import Supervisor
@@ -82,7 +64,7 @@ class Tap:
         self._reference: np.ndarray[Any, np.dtype[np.float64]] | None = None
         self._moved = np.zeros(len(robot.joints))
         topics: tuple[Topic[Any], ...] = (
-            MOTOR, MOTION_STATE, PROPRIOCEPTOR, CONTROL_MODE, DEVICES, GROUND_TRUTH, *STATISTICS.values()
+            MOTOR, MOTION_STATE, PROPRIOCEPTOR, CONTROL_MODE, DEVICES, GROUND_TRUTH, *common_topics.STATISTICS.values()
         )  # fmt: skip
         self._subscribers = [topic.subscriber(self._node, QUEUE, limited=False) for topic in topics]
         self._closing = threading.Event()
@@ -135,16 +117,16 @@ class Tap:
                     self.faults[fault] = self.faults.get(fault, 0) + 1
             case MotionState():
                 self.state, self.received_at = message, time.monotonic()
-            case Proprioceptor():
+            case messages.Proprioceptor():
                 self._position = message.joint_position
                 if self._reference is not None:
                     np.maximum(self._moved, np.abs(self._position - self._reference), out=self._moved)
             case ControlModeReport():
                 self.mode = message.current_control_mode
-            case DeviceStatus():
+            case messages.DeviceStatus():
                 states = zip(message.units, message.states, strict=True)
                 self.unwell = [unit for unit, state in states if state != "ok"]
-            case GroundTruth():
+            case messages.GroundTruth():
                 self.height = float(message.pelvis_position_in_world[2])
             case Statistics():
                 self.words[message.service] = received

@@ -24,8 +24,6 @@ UPRIGHT = frozenset(Behavior) - {Behavior.FALL, Behavior.FREEZE, Behavior.IDLE, 
 
 @dataclass
 class Outcome:
-    """Result of a step."""
-
     activity: str
     event: str
     before: str = ""  # behavior

@@ -19,8 +19,6 @@ ESCHER, THOR = (RobotDescription.load(ROBOTS / name) for name in ("escher", "tho
 
 
 class Whole:
-    """The whole robot in a posture, its base turned."""
-
     def __init__(self, robot: RobotDescription, side: Side) -> None:
         self._robot, self._side = robot, side
         self._model = full_model(robot, "collision")

@@ -44,7 +44,6 @@ def result(name: str = "one", pictures: list[Picture] | None = None) -> Result:
 
 
 def stored(folder: Path, name: str, *, picture: bool = True) -> None:
-    """A result in its folder, with a figure."""
     (folder / name).mkdir()
     if picture:
         save(figure(2.0, 1.0), folder / name / "a.png")
@@ -52,8 +51,6 @@ def stored(folder: Path, name: str, *, picture: bool = True) -> None:
 
 
 class Listed(NamedTuple):
-    """An experiment as the table names it."""
-
     name: str
     title: str = "Something"
     reproduces: str = "Figure 9.9"
@@ -64,8 +61,6 @@ def collect(folder: Path, *names: str) -> list[chapters.Chapter]:
 
 
 class Page:
-    """Content of an HTML page."""
-
     def __init__(self, file: Path) -> None:
         page = file.read_text()
         pictures = re.findall(r'<img src="data:image/webp;base64,([^"]+)"', page)

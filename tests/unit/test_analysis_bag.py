@@ -131,8 +131,6 @@ def test_a_damaged_chunk_is_named(file: Path, tmp_path: Path) -> None:
 
 
 # Pictures show the robot, and show that it moved; plots show every joint.
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Bag:
     path = tmp_path_factory.mktemp("bag") / "reach.mcap"
@@ -202,8 +200,6 @@ def test_joint_tracking_draws_each_group(bag: Bag, tmp_path: Path) -> None:
 
 
 # Signals at a common rate; metadata of other writers in a bag.
-
-
 moments = st.lists(st.floats(0.01, 0.5), min_size=4, max_size=30).map(np.cumsum)
 
 

@@ -150,8 +150,6 @@ def test_a_foot_is_printed_where_it_stood_in_the_middle_of_its_stand(tmp_path: P
 
 
 # What is reported of a walk: numbers that a made-up walk must give, under names that programs read.
-
-
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 COUNT = 400  # control periods
 SPEED = 0.3  # [m/s]

@@ -18,7 +18,6 @@ from valor.whole_body.motor_command import MotorCommand
 
 
 def found(robot: RobotDescription, side: str, **changed: float) -> ArmCalibration:
-    """A calibration of an arm."""
     values = {
         "friction": 3.0, "damping": 0.7, "offset": 0.1, "backlash": 0.05, "effort_share": 0.0, "strength": 0.9,
         "residual": 0.2,

@@ -9,14 +9,7 @@ from hypothesis import strategies as st
 
 from harness.examples import examples
 from valor.common.rotation import Quaternion, Vector, multiply, rotate
-from valor.comms_manager.hardware.kvh import (
-    ALIGNMENT,
-    GRAVITY,
-    LONGEST_GAP,
-    REST_RATE,
-    TIME_CONSTANT,
-    AttitudeFilter,
-)
+from valor.comms_manager.hardware.kvh import ALIGNMENT, GRAVITY, LONGEST_GAP, REST_RATE, TIME_CONSTANT, AttitudeFilter
 
 PERIOD = 0.004
 STILL: Vector = (0.0, 0.0, 0.0)

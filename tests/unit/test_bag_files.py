@@ -59,8 +59,6 @@ def test_a_truncated_or_damaged_origin_is_empty(file: Path, values: dict[str, st
 
 
 # The recorder's options: topics, pieces, bounds; counts of messages.
-
-
 def test_patterns_choose_topics() -> None:
     assert "/anything" in EVERYTHING
     some = Selection(only=("/bifrost/*", "/joint_states"), without=("*/statistics",))
@@ -114,8 +112,6 @@ def test_each_bag_counts_the_messages_since_the_previous_one(bags: list[tuple[in
 
 
 # metadata.yaml: a folder of bags for rosbag2.
-
-
 QOS = yaml.safe_dump([
     {"history": "keep_last", "depth": 10, "reliability": "reliable", "durability": "transient_local",
      "deadline": {"sec": 1, "nsec": 2}, "lifespan": {"sec": 1, "nsec": 2}, "liveliness": "automatic",

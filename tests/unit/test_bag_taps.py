@@ -44,7 +44,6 @@ def ros(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterator[
 
 
 def messages_of(bag: Bag, topic: str) -> list[Message]:
-    """In the order of writing."""
     with open(bag.path, "rb") as file:
         return [message for _, _, message in make_reader(file).iter_messages([topic], log_time_order=False)]
 

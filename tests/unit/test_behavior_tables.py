@@ -13,21 +13,8 @@ from hypothesis import strategies as st
 
 from harness.examples import examples
 from harness.places import REPOSITORY, ROBOTS
-from valor.common.behaviors import (
-    BEHAVIOR_TRANSITIONS,
-    INTERNAL_STATES,
-    OPERATIONAL,
-    STEPPING,
-    WALKING,
-    Attention,
-    Behavior,
-    ControlMode,
-    Locomotion,
-    Manipulation,
-    Reaction,
-    requested_by,
-    requester,
-)
+from valor.common import behaviors
+from valor.common.behaviors import BEHAVIOR_TRANSITIONS, INTERNAL_STATES, OPERATIONAL, Behavior, ControlMode, Locomotion
 from valor.motion_manager.behavior_fsm import GUARDS, BehaviorFsm, Conditions, TransitionError
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.upper_body import JOINT_ACCESS, SETPOINT_STATES, UpperBody, joint_owners
@@ -67,7 +54,7 @@ def test_transitions_of_the_thesis_are_those_of_the_figure(here: str, there: str
 
 def test_arms_are_open_only_in_manipulate_behaviors() -> None:
     for behavior, (_, manipulation, _) in INTERNAL_STATES.items():
-        assert (manipulation is Manipulation.TELEOP) == behavior.endswith("_manipulate")
+        assert (manipulation is behaviors.Manipulation.TELEOP) == behavior.endswith("_manipulate")
 
 
 def test_nobody_returns_to_operation_after_a_fall_but_through_stand_prep() -> None:
@@ -96,8 +83,8 @@ def test_every_joint_of_the_robot_is_moved_by_exactly_one_state_machine(name: st
     owners = joint_owners(robot)
     assert set(owners) == set(robot.joints)
     assert {owners[joint] for joint in robot.tables.groups["left_leg"]} == {Locomotion}
-    assert {owners[joint] for joint in robot.tables.groups["right_arm"]} == {Manipulation}
-    assert {owners[joint] for joint in robot.tables.groups["neck"]} == {Attention}
+    assert {owners[joint] for joint in robot.tables.groups["right_arm"]} == {behaviors.Manipulation}
+    assert {owners[joint] for joint in robot.tables.groups["neck"]} == {behaviors.Attention}
     assert Locomotion not in SETPOINT_STATES
 
 
@@ -114,8 +101,6 @@ def test_a_joint_of_another_group_has_no_machine_and_stays_where_it_is() -> None
 
 
 # Behaviors and control modes are spelled in one place, and every table that goes by them knows all of them.
-
-
 MODES = ControlModeTable.load()
 HOME = REPOSITORY / "valor" / "common" / "behaviors.py"
 VERBS = REPOSITORY / "valor/valorctl/terminal/app.py"  # verbs of the command line, such as walk
@@ -123,7 +108,6 @@ EVERYDAY_WORDS = {"none", "idle", "stop", "step"}  # and of a plan, a verb, a cl
 
 
 def product_files() -> list[Path]:
-    """Every Python file of the product."""
     return [
         Path(folder) / name
         for root in ("bifrost", "services", "thesis", "valor")
@@ -155,7 +139,7 @@ def test_every_table_has_every_behavior(behavior: Behavior) -> None:
 
 @pytest.mark.parametrize("behavior", Behavior)
 @pytest.mark.parametrize("demand", DEMANDS)
-def test_devices_that_fail_are_answered_in_every_behavior(demand: Reaction, behavior: Behavior) -> None:
+def test_devices_that_fail_are_answered_in_every_behavior(demand: behaviors.Reaction, behavior: Behavior) -> None:
     edges = BEHAVIOR_TRANSITIONS[behavior]
     assert behavior in ENOUGH[demand] or any(wanted is behavior or wanted in edges for wanted in DEMANDS[demand])
 
@@ -169,20 +153,18 @@ def test_what_is_true_of_a_behavior_follows_from_its_internal_states(behavior: B
     assert behavior.operational <= behavior.balancing
     assert behavior.manipulating <= behavior.operational
     assert not (behavior.fallen and (behavior.balancing or behavior.stopped))
-    assert (behavior in STEPPING | WALKING) is behavior.locomotion.stepping
+    assert (behavior in behaviors.STEPPING | behaviors.WALKING) is behavior.locomotion.stepping
     assert behavior.manipulating is behavior.endswith("_manipulate")
 
 
 @examples(100)
 @given(st.text(min_size=1))
 def test_the_requester_of_a_change_is_read_from_its_reason(text: str) -> None:
-    assert requester(requested_by(text)) == text
-    assert requester(f" {text}") == ""
+    assert behaviors.requester(behaviors.requested_by(text)) == text
+    assert behaviors.requester(f" {text}") == ""
 
 
 # The Behavior FSM: every request and every change in every behavior.
-
-
 FINE = Conditions()
 
 

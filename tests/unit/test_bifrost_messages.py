@@ -19,15 +19,11 @@ pytestmark = pytest.mark.portable
 
 
 class Inner(bifrost.Message):
-    """Within another."""
-
     values: bifrost.Float64Array
     name: str
 
 
 class Everything(bifrost.Message):
-    """Every type of field."""
-
     number: int
     real: float
     flag: bool
@@ -156,8 +152,6 @@ def test_what_would_be_misread_is_not_sent(fields: dict[str, Any], message: str)
 
 
 class Counted(bifrost.Message):
-    """Integers wherever there can be one."""
-
     one: int
     many: list[int]
     maybe: int | None

@@ -31,8 +31,6 @@ CONTROLLERS = [
 
 
 class Client:
-    """Keeps what became of its goal."""
-
     outcome: TrajectoryOutcome | None = None
 
     def finish(self, outcome: TrajectoryOutcome) -> None:

@@ -90,8 +90,6 @@ def test_a_late_goal_is_not_executed_but_ended_with_the_reason(
 
 
 class Counted(DeferredActionServer):
-    """Counts how often the executor waits."""
-
     waits = 0
 
     def add_to_wait_set(self, wait_set: Any) -> None:

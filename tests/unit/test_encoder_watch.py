@@ -48,8 +48,7 @@ still = np.zeros(CALM)
 
 @examples(80)
 @given(
-    st.lists(st.floats(-8.0, 8.0), min_size=1, max_size=12),
-    st.lists(st.floats(-0.3, 0.3), min_size=40, max_size=40),
+    st.lists(st.floats(-8.0, 8.0), min_size=1, max_size=12), st.lists(st.floats(-0.3, 0.3), min_size=40, max_size=40)
 )
 def test_a_knock_is_no_jump(changes: list[float], jitter: list[float]) -> None:
     """However quick, to and fro, at up to 400 rad/s²: what moves by the velocity that it says is believed."""

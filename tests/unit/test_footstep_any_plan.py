@@ -100,8 +100,6 @@ breaks = st.one_of(
 
 
 # --- what comes of it -------------------------------------------------------------------------------------------------
-
-
 def state(bench: Bench) -> tuple[object, ...]:
     queue = bench.queue
     return list(queue.steps), queue.executing, queue.last, queue.state, queue.reason, queue.changes, bench.indices

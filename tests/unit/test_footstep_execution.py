@@ -27,7 +27,6 @@ def hear(execution: Execution, behavior: str, reason: str, now: float) -> None:
 
 
 def changed(word: StepStatus, **values: int) -> StepStatus:
-    """A copy with other values."""
     return msgspec.structs.replace(word, **values)
 
 
@@ -97,7 +96,6 @@ def test_a_change_to_stand_in_mid_plan_is_reported_once_the_robot_has_come_to_re
 
 
 def at(seconds: float) -> StepStatus:
-    """A word of steps being taken."""
     return changed(status("executing", 0), time=round(seconds * 1e9))
 
 

@@ -221,8 +221,6 @@ def test_a_plan_in_another_frame_becomes_the_same_steps_in_odom(plan: StepPlan, 
 
 
 class TestUpdate:
-    """A plan that changes the one that runs."""
-
     RUNNING = RunningPlan(convert(make_plan([MOVE] * 6), LIMITS), first_changeable=3)
 
     def update(self, first: int, count: int = 2) -> StepPlan:

@@ -10,17 +10,9 @@ from msgspec import structs
 
 from harness.places import ROBOTS
 from valor.common.table import read
+from valor.get_up_planning import key_poses
 from valor.get_up_planning.__main__ import main, plan
-from valor.get_up_planning.key_poses import (
-    PLAN_FILE,
-    ContactPoints,
-    GetUpPlan,
-    NoSolutionFound,
-    PlannedPose,
-    check,
-    find,
-    posture_of,
-)
+from valor.get_up_planning.key_poses import PLAN_FILE, ContactPoints, GetUpPlan, PlannedPose, check, find, posture_of
 from valor.get_up_planning.posture import BASE, SagittalPosture
 from valor.motion_manager.locomotion.get_up import GetUp
 from valor.robot.description import RobotDescription
@@ -73,7 +65,7 @@ def test_a_pose_on_both_soles_stands_in_mujoco(robot: RobotDescription) -> None:
 )
 def test_where_no_pose_can_be_it_reports_it(changes: dict[str, object]) -> None:
     wanted = standing(ESCHER, **changes)
-    with pytest.raises(NoSolutionFound, match=r"squat"):
+    with pytest.raises(key_poses.NoSolutionFound, match=r"squat"):
         find(posture_of(full_model(ESCHER, "collision"), wanted), wanted)
 
 

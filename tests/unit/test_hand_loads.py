@@ -20,7 +20,6 @@ SMALL = st.floats(-1.0, 1.0)
 
 @pytest.fixture(scope="module")
 def standing() -> Robot:
-    """In Stand."""
     return Robot().stand()
 
 

@@ -19,8 +19,6 @@ RATE = 500.0
 
 @dataclass
 class Input:
-    """A topic, and the names of senders that are muted."""
-
     topic: str
     muted: tuple[str, ...] = ()
 
@@ -105,8 +103,6 @@ def test_of_several_publishers_all_are_named_and_reported_once(caplog: pytest.Lo
 
 @dataclass
 class Count:
-    """A subscriber's counts."""
-
     sequence: int = 0
     rejected: int = 0
 

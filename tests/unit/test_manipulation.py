@@ -28,8 +28,6 @@ every_task = pytest.mark.parametrize("task", TASKS)
 
 
 class Fixture:
-    """A world without a robot."""
-
     def __init__(self, world: str, seed: int = 0) -> None:
         self.model = worlds.load(world, seed).compile()
         self.model.opt.timestep = ESCHER.tables.physics_step

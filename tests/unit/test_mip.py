@@ -11,19 +11,8 @@ from hypothesis import strategies as st
 from harness.places import ROBOTS
 from valor.comms_manager.hardware.microstrain import Packet, checksum, decode, encode, packet_stream
 from valor.device_emulators.microstrain import MipSensor
-from valor.devices.mip import (
-    APPLY,
-    FILTER_STREAM,
-    FORMAT_ENTRY,
-    READ,
-    STANDARD_GRAVITY,
-    SYNC,
-    Base,
-    DescriptorSet,
-    FilterData,
-    Result,
-    ThreeDm,
-)
+from valor.devices import mip
+from valor.devices.mip import APPLY, READ, STANDARD_GRAVITY, SYNC, Base, DescriptorSet, FilterData, Result, ThreeDm
 from valor.robot.description import RobotDescription
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
@@ -77,11 +66,11 @@ def test_a_wrong_byte_is_noticed(packet: Packet, data: st.DataObject) -> None:
 def configured(codes: list[int], decimation: int) -> MipSensor:
     device = sensor()
     command = ThreeDm.FILTER_MESSAGE_FORMAT
-    entries = bytes((len(codes),)) + b"".join(FORMAT_ENTRY.pack(code, decimation) for code in codes)
+    entries = bytes((len(codes),)) + b"".join(mip.FORMAT_ENTRY.pack(code, decimation) for code in codes)
     assert reply(device, DescriptorSet.THREE_DM, command, bytes((APPLY,)) + entries).fields[0][1][1] == Result.OK
     read = reply(device, DescriptorSet.THREE_DM, command, bytes((READ, 0)))
     assert read.fields[1][1] == entries
-    enable = bytes((APPLY, FILTER_STREAM, 1))
+    enable = bytes((APPLY, mip.FILTER_STREAM, 1))
     assert reply(device, DescriptorSet.THREE_DM, ThreeDm.ENABLE_STREAM, enable).fields[0][1][1] == Result.OK
     return device
 

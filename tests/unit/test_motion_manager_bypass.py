@@ -20,7 +20,6 @@ NOBODY = np.array((1.0, 0.0, 0.0, 0.0))
 
 @pytest.fixture
 def robot() -> Robot:
-    """In Stand Manipulate."""
     return standing()
 
 

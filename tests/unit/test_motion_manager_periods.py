@@ -156,8 +156,6 @@ def test_joints_found_beyond_their_stops_are_not_commanded_there(
 
 
 # A robot that lived without its Motion Manager for a while, in another world, or led by the reflex: held or let go.
-
-
 def test_a_world_begun_anew_is_a_fall(standing: Robot) -> None:
     standing.time, standing.sequence = 0, standing.sequence + 1_000_000
     motor = standing.tick()
@@ -276,8 +274,6 @@ def test_in_stand_prep_a_new_world_is_held_as_it_is_found(robot: Robot) -> None:
 
 
 # A Motion Manager that finds a robot which another one has led: it holds what it finds, and waits for a command.
-
-
 ARMS = [*ROBOT.group_indices("left_arm"), *ROBOT.group_indices("right_arm")]
 FOUND = ROBOT.nominal_posture.copy()  # but for the arms
 FOUND[ARMS] = np.clip(FOUND[ARMS] + 0.4, ROBOT.lower[ARMS], ROBOT.upper[ARMS])

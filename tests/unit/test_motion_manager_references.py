@@ -60,8 +60,6 @@ def test_a_foot_that_does_not_touch_has_no_part_in_the_centre_of_pressure(foot: 
 
 
 # What comes in from outside has one handler a topic.
-
-
 NAME = "motion_manager"
 
 
@@ -85,15 +83,11 @@ def test_what_counts_message_by_message_waits_in_a_queue(manager: MotionManager)
 
 
 # Who may make the robot walk, and what becomes of the behavior when there is nothing left to walk.
-
-
 NOW = 20_000_000_000  # robot time [ns]
 WALKING = (Behavior.STAND_PREP, Behavior.STAND, Behavior.WALK)
 
 
 class Steering:
-    """The handler, and the steps that it leads."""
-
     def __init__(self, *path: Behavior) -> None:
         self.fsm = BehaviorFsm()
         for behavior in path:

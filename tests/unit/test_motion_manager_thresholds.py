@@ -58,8 +58,6 @@ def test_upright_is_a_pelvis_whose_axis_is_near_the_vertical_wherever_it_heads(t
 
 
 # --- what comes from the robot ------------------------------------------------------------------------------------
-
-
 @given(st.lists(st.tuples(st.integers(-3, 80), st.integers(-3, 80)), min_size=1, max_size=8))
 @examples(100)
 def test_a_gap_is_what_lies_between_two_states_and_all_between_is_missed(steps: list[tuple[int, int]]) -> None:
@@ -143,15 +141,12 @@ def test_a_hand_touches_from_the_one_force_on_until_the_other(felt: list[tuple[f
 
 
 # --- what comes from others ---------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def manipulating() -> Robot:
     return standing()
 
 
 def beside(length: float) -> FloatArray:
-    """A position so far along y."""
     return np.array((0.0, length, 0.0))
 
 

@@ -33,13 +33,11 @@ def ends(settings: Settings) -> Iterator[tuple[can.BusABC, can.BusABC]]:
 
 
 def heard(bus: can.BusABC, count: int) -> list[int]:
-    """Identifiers of so many frames."""
     frames = [bus.recv(PATIENCE) for _ in range(count)]
     return [frame.arbitration_id for frame in frames if frame is not None]
 
 
 def wakes(bus: can.BusABC) -> bool:
-    """Whether its thread would wake up."""
     return bool(select.select([bus.fileno()], [], [], 0.0)[0])
 
 

@@ -105,8 +105,6 @@ def test_a_file_dated_before_2020_has_no_age() -> None:
 
 
 # Recordings in a folder: listing, pruning, and files that are never removed.
-
-
 WORDS = RecordedTopic("/words", "std_msgs/msg/String", "string data")
 LEAST = Bounds(age=None, size=8 << 20, share=None)
 DAY1, DAY2, DAY3 = (f"2026-05-0{day}_10-00-00" for day in (1, 2, 3))
@@ -211,8 +209,6 @@ def test_concurrent_pruning_removes_each_piece_once(tmp_path: Path) -> None:
 
 
 # ``bag list``, ``keep``, ``prune`` and ``info``, and reports about recordings.
-
-
 @pytest.fixture
 def instance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Instance:
     monkeypatch.setenv("VALOR_HOME", str(tmp_path))

@@ -108,8 +108,6 @@ def test_controller_model_weighs_what_the_full_one_does(name: str) -> None:
 
 
 # Mirror symmetry of the sides of a robot: differences are measured and reported, but are no faults.
-
-
 @pytest.mark.parametrize("name", sorted(file.parent.name for file in ROBOTS.glob("*/robot.yaml")))
 def test_included_robots_are_exact_mirror_images(name: str) -> None:
     assert list(asymmetries(Stance(RobotDescription.load(ROBOTS / name)), 1e-9, 1e-9)) == []
@@ -146,8 +144,6 @@ def test_differences_are_reported_by_name(tmp_path: Path) -> None:
 
 
 # Defaults of another size: ESCHER's, as a robot of that size would have them.
-
-
 QUARTER = factors(Size(leg=ESCHER.leg / 4, mass=ESCHER.mass / 10), 0.07425 / 2)
 
 
@@ -216,8 +212,6 @@ def test_what_a_default_does_not_fit_is_reported(tmp_path: Path) -> None:
 
 
 # THOR's description: its published dimensions and axes.
-
-
 ROBOT, MODEL = ALL["thor"], FULL["thor"]
 LEG = ("hip_yaw", "hip_roll", "hip_pitch", "knee_pitch", "ankle_pitch", "ankle_roll")
 ARM = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow_pitch", "wrist_roll", "wrist_yaw", "hand_roll")

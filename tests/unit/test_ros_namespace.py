@@ -121,8 +121,6 @@ def test_what_is_no_peer_is_refused(peer: str, words: str) -> None:
 
 
 # The ROS domain of an instance is exclusive on a computer.
-
-
 @given(st.text(), st.sets(st.sampled_from(list(DOMAINS))), st.sets(st.sampled_from(list(DOMAINS))))
 def test_a_free_domain_is_chosen(key: str, taken: set[int], busy: set[int]) -> None:
     if len(taken | busy) == len(DOMAINS):
@@ -176,8 +174,6 @@ def test_a_process_that_inherits_a_reservation_holds_the_domain(tmp_path: Path) 
 
 
 # What is let through to /rosout, and what stands for the rest.
-
-
 class Clock:
     def __init__(self) -> None:
         self.now = 100.0

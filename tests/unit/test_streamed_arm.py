@@ -113,8 +113,6 @@ def test_a_canceled_motion_goes_on_without_a_step_back() -> None:
 
 
 class Waiting:
-    """A client that waits for the end of a trajectory."""
-
     def finish(self, outcome: TrajectoryOutcome) -> None:
         pass
 

@@ -25,7 +25,6 @@ def network(tmp_path: Path, ros_domain: int) -> Iterator[bifrost.Network]:
 
 
 def turn(tracer: Tracer, sequence: int) -> None:
-    """Once around a loop."""
     time.sleep(0.001)
     tracer.mark(Stage.AWAIT)
     sum(range(400_000))  # many times what looking for messages costs, which counts as waiting here

@@ -46,7 +46,6 @@ class ScriptedMotionManager:
             self._states.publish(motion_state(time=self._at * SECOND, behavior=behavior, reason=reason))
 
     def show(self, text: str) -> None:
-        """What `get-up` shows."""
         if text not in self.shown:
             self.shown.append(text)
             self._at += 1

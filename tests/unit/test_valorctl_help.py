@@ -48,7 +48,6 @@ def test_the_listed_help_of_bifrosts_groups_is_theirs() -> None:
 
 
 def verbs(group: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every verb and every group of verbs, by its words."""
     context = typer.Context(group)
     for name in group.list_commands(context):
         command = group.get_command(context, name)
@@ -94,7 +93,6 @@ def completed(line: str, home: Path) -> set[str]:
 
 @pytest.fixture
 def home(tmp_path: Path) -> Path:
-    """With an instance that is up."""
     made = Instance("lab", tmp_path)
     made.logs.mkdir(parents=True)
     made.settings_file.write_text(Settings(robot=ROBOTS / "escher", ros_domain_id=7).json())

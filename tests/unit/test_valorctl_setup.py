@@ -7,7 +7,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-import yaml
 
 from harness.places import REPOSITORY
 from valor.common import resources
@@ -91,25 +90,6 @@ def test_processes_of_absent_devices_are_omitted() -> None:
     assert profile.suiting(escher).processes == profile.processes
     tables = msgspec.structs.replace(escher.tables, devices={})
     assert profile.suiting(RobotDescription(escher.folder, tables)).processes == ("bifrostd", "comms_manager")
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"processes": ["bifrostd", "motion_master"]}, "motion_master"),
-        ({"processes": ["comms_manager"]}, "comms_manager needs bifrostd"),
-        ({"processes": []}, "processes"),
-        ({"defaults": {"clock": "sundial"}}, "defaults.clock"),
-        ({"defaults": {"bag_bound": ["5 parsecs"]}}, "defaults.bag_bound 5 parsecs: expected a size"),
-    ],
-)
-def test_a_wrong_profile_names_file_and_key(tmp_path: Path, change: dict[str, object], words: str) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text(yaml.safe_dump({"description": "mine", "processes": ["bifrostd"]} | change))
-    with pytest.raises(ConfigurationError, match=words) as caught:
-        Profile.load(file)
-    assert str(file) in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_options_have_precedence_over_the_profile() -> None:

@@ -51,7 +51,6 @@ def test_wall_time_is_robot_time_and_slip_at_the_real_time_factor(pace: float, p
 
 
 def shown(status: Status, width: int) -> list[str]:
-    """What stands on a screen of that width."""
     screen = StringIO()
     console = Console(width=width, highlight=False, file=screen)
     console.print(view(status))
@@ -116,8 +115,6 @@ def test_a_standing_robot_needs_no_command() -> None:
 
 
 # State of a process from supervisord and from its own reports; restarts; arm motions' duration.
-
-
 NOW = 1000.0
 
 
@@ -203,8 +200,6 @@ def test_no_joint_exceeds_its_share_of_the_speed_limit(escher: RobotDescription)
 
 
 # ``valorctl doctor``: keys readable by other users, and real time.
-
-
 @pytest.mark.parametrize(("name", "mode"), [("client.key", 0o640), ("server.key", 0o604), ("", 0o750)])
 def test_keys_readable_by_other_users_fail(tmp_path: Path, name: str, mode: int) -> None:
     instance = Instance("doctored", tmp_path)

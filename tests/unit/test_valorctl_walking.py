@@ -99,8 +99,6 @@ def test_a_walk_ends_when_robot_time_restarts() -> None:
 
 
 # Footstep plans from files and from the planner of `step`.
-
-
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 _footsteps = ROBOT.tables.footsteps
 assert _footsteps is not None
@@ -189,8 +187,6 @@ def test_an_invalid_file_is_rejected_in_one_line(tmp_path: Path, text: str, erro
 
 
 # Demonstrations of which a part fails.
-
-
 def written(file: Path) -> list[Path]:
     file.write_bytes(b"picture")
     return [file]

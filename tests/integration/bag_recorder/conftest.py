@@ -12,7 +12,6 @@ from harness.instance import RunningInstance
 
 @pytest.fixture
 def ros(instance: RunningInstance, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
-    """A ROS node in this process, in the instance's domain."""
     for name, value in instance.instance.environment().items():
         monkeypatch.setenv(name, value)
     context = Context()

@@ -48,7 +48,6 @@ def read(path: Path) -> list[tuple[str, Message]]:
 
 
 def counts(path: Path) -> Counter[str]:
-    """Messages by topic."""
     return Counter(topic for topic, _ in read(path))
 
 

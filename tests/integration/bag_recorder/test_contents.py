@@ -19,22 +19,8 @@ from vigir_humanoid_control_msgs.action import ChangeControlMode
 
 from harness.instance import RunningInstance
 from harness.waiting import wait_until
-from tests.integration.bag_recorder.recorder import (
-    BEST_EFFORT,
-    JOINTS,
-    KEPT,
-    MOTORS,
-    RELIABLE,
-    SECOND,
-    SETPOINTS,
-    connect,
-    counts,
-    has,
-    messages,
-    metadata,
-    motor,
-    recorder,
-)
+from tests.integration.bag_recorder import recorder as kit
+from tests.integration.bag_recorder.recorder import BEST_EFFORT, JOINTS, KEPT, MOTORS, SECOND, metadata, motor, recorder
 from valor.common.messages import JointSetpoints
 from valor.common.topics import JOINT_SETPOINTS, MOTOR
 
@@ -42,7 +28,7 @@ from valor.common.topics import JOINT_SETPOINTS, MOTOR
 def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, ros: Node) -> None:
     latched = ros.create_publisher(String, "/robot_description", KEPT)
     latched.publish(String(data="<robot/>"))
-    states = ros.create_publisher(JointState, "/joint_states", RELIABLE)
+    states = ros.create_publisher(JointState, "/joint_states", kit.RELIABLE)
     imu = ros.create_publisher(String, "/best_effort", BEST_EFFORT)
     hidden = ros.create_publisher(String, "/_hidden", KEPT)
     hidden.publish(String(data="between nodes"))
@@ -52,8 +38,8 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
     node = instance.node()
     motors, setpoints = MOTOR.publisher(node), JOINT_SETPOINTS.publisher(node)
     names = [f"joint_{i}" for i in range(JOINTS)]
-    extra = connect(path, motors, motor(0))
-    extra_setpoints = connect(path, setpoints, JointSetpoints(0, names, *np.zeros((3, JOINTS))))
+    extra = kit.connect(path, motors, motor(0))
+    extra_setpoints = kit.connect(path, setpoints, JointSetpoints(0, names, *np.zeros((3, JOINTS))))
     for publisher in (latched, states, imu):
         wait_until(publisher.get_subscription_count, 20.0, f"the recorder subscribes to {publisher.topic_name}")
 
@@ -66,9 +52,9 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
             imu.publish(String(data=str(number)))
         time.sleep(0.001)  # a stream, not a burst
     ended = time.time_ns()
-    wait_until(lambda: has(path, "/joint_states", 500), 20.0, "the ROS messages are in the bag", 0.3)
+    wait_until(lambda: kit.has(path, "/joint_states", 500), 20.0, "the ROS messages are in the bag", 0.3)
     received = time.time_ns()
-    wait_until(lambda: has(path, SETPOINTS, 500 + extra_setpoints), 20.0, "so are Bifrost's", 0.3)
+    wait_until(lambda: kit.has(path, kit.SETPOINTS, 500 + extra_setpoints), 20.0, "so are Bifrost's", 0.3)
     assert instance.stop("bag_recorder") == 0
     action.destroy()
 
@@ -76,7 +62,12 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
     with AnyReader([path.parent]) as reader:  # opens by metadata.yaml, decodes by the definitions in the bag alone
         for connection, timestamp, data in reader.messages():
             found.setdefault(connection.topic, []).append((timestamp, reader.deserialize(data, connection.msgtype)))
-    expected = {MOTORS: 500 + extra, SETPOINTS: 500 + extra_setpoints, "/joint_states": 500, "/robot_description": 1}
+    expected = {
+        MOTORS: 500 + extra,
+        kit.SETPOINTS: 500 + extra_setpoints,
+        "/joint_states": 500,
+        "/robot_description": 1,
+    }
     assert {topic: len(found[topic]) for topic in expected} == expected
     reported = [int(message.data) for _, message in found["/best_effort"]]
     assert reported == sorted(set(reported)) and 0 < len(reported) <= 20  # some may be lost
@@ -98,7 +89,7 @@ def check_counts(path: Path, expected: dict[str, int]) -> None:
     reported = {topic: json.loads(text) for topic, text in recorded.items()}
     for topic, count in expected.items():
         assert reported[topic] == {"received": count, "dropped": 0, "written": count}
-    assert {topic: count for topic, count in counts(path).items() if count} == {
+    assert {topic: count for topic, count in kit.counts(path).items() if count} == {
         topic: each["written"] for topic, each in reported.items() if each["written"]
     }
     (clock,) = metadata(path, "clock")
@@ -145,7 +136,7 @@ def test_ros_stays_on_the_loopback_interface_and_out_of_shared_memory(instance: 
 
 
 def test_a_publisher_that_offers_less_than_the_others_is_received_too(instance: RunningInstance, ros: Node) -> None:
-    first = ros.create_publisher(String, "/chatter", RELIABLE)
+    first = ros.create_publisher(String, "/chatter", kit.RELIABLE)
     path = recorder(instance)
     wait_until(first.get_subscription_count, 20.0, "the recorder subscribes")
     second = ros.create_publisher(String, "/chatter", BEST_EFFORT)
@@ -155,7 +146,7 @@ def test_a_publisher_that_offers_less_than_the_others_is_received_too(instance: 
     def both() -> bool:  # what is best effort may be lost on its way
         first.publish(String(data="first"))
         second.publish(String(data="second"))
-        said = (deserialize_message(each.data, String).data for each in messages(path, "/chatter"))
+        said = (deserialize_message(each.data, String).data for each in kit.messages(path, "/chatter"))
         return {"first", "second"} == set(said)
 
     wait_until(both, 20.0, "both are in the bag", 0.3)

@@ -15,18 +15,8 @@ from std_msgs.msg import String
 
 from harness.instance import RunningInstance
 from harness.waiting import wait_until
-from tests.integration.bag_recorder.recorder import (
-    KEPT,
-    MOTORS,
-    Stream,
-    bags,
-    counts,
-    has,
-    metadata,
-    read,
-    recorder,
-    sequences,
-)
+from tests.integration.bag_recorder import recorder as kit
+from tests.integration.bag_recorder.recorder import KEPT, MOTORS, Stream, bags, counts, has, metadata, read, recorder
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bags import recordings
 from valor.bags.recovery import recover
@@ -98,7 +88,7 @@ def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
     made = bags(instance)
     assert made[0] == path and all(recover(each).finished for each in made)
     assert [counts(each)["/robot_description"] for each in made] == [1] * len(made)
-    kept = [sequence for each in made for sequence in sequences(each, MOTORS)]
+    kept = [sequence for each in made for sequence in kit.sequences(each, MOTORS)]
     assert kept == list(range(kept[0], stream.sent[-1] + 1))
     reported = [json.loads(metadata(each, "topics")[0][MOTORS]) for each in made]
     assert [each["received"] for each in reported] == [each["written"] for each in reported]
@@ -107,7 +97,6 @@ def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
 
 
 def a_recording(folder: Path, name: str, size: int) -> Path:
-    """One of long ago."""
     path = folder / name / f"{name}.mcap"
     path.parent.mkdir()
     bag = Bag(path)

@@ -9,20 +9,8 @@ import pytest
 
 from harness.instance import RunningInstance
 from harness.waiting import wait_until
-from tests.integration.bag_recorder.recorder import (
-    MOTORS,
-    Stream,
-    bags,
-    connect,
-    counts,
-    has,
-    metadata,
-    motor,
-    newest,
-    read,
-    recorder,
-    sequences,
-)
+from tests.integration.bag_recorder import recorder as kit
+from tests.integration.bag_recorder.recorder import MOTORS, Stream, bags, counts, has, metadata, motor, newest, recorder
 from valor.bag_recorder.bifrost_tap import QUEUE
 from valor.bags.recovery import recover
 from valor.common.messages import Statistics
@@ -42,7 +30,7 @@ def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: Run
     second = recorder(instance)
     assert second != first
     assert recover(first).finished, "finished by the one that came after"
-    kept = sequences(first, MOTORS)
+    kept = kit.sequences(first, MOTORS)
     assert kept == list(range(kept[0], kept[-1] + 1))
     assert kept[-1] >= said
 
@@ -51,8 +39,8 @@ def test_a_killed_recorder_leaves_a_bag_that_the_next_one_finishes(instance: Run
     assert instance.stop("bag_recorder") == 0
     assert recover(second).finished
     (gap,) = metadata(second, "event")
-    last = max(message.log_time for _, message in read(first))
-    begun = min(message.log_time for _, message in read(second))
+    last = max(message.log_time for _, message in kit.read(first))
+    begun = min(message.log_time for _, message in kit.read(second))
     assert (gap["what"], int(gap["stamp_ns"])) == ("gap", last)
     assert float(gap["reason"].split()[-2]) == pytest.approx((begun - last) * 1e-9, abs=5.0)
 
@@ -100,7 +88,7 @@ def test_a_full_disk_costs_no_more_than_what_does_not_fit(instance: RunningInsta
 def test_what_was_lost_while_the_recorder_stood_is_counted(instance: RunningInstance) -> None:
     path = recorder(instance)
     publisher = MOTOR.publisher(instance.node())
-    connect(path, publisher, motor(0))
+    kit.connect(path, publisher, motor(0))
     process = psutil.Process(instance.process("bag_recorder").pid)
     process.suspend()
     message = motor(1)
@@ -118,7 +106,7 @@ def test_what_was_lost_while_the_recorder_stood_is_counted(instance: RunningInst
     wait_until(received, 60.0, "the recorder goes on")
     wait_until(lambda: newest(path, MOTORS) == last, 20.0, "to the last message", 0.3)
     assert instance.stop("bag_recorder") == 0
-    first = sequences(path, MOTORS)[0]
+    first = kit.sequences(path, MOTORS)[0]
     reported = json.loads(metadata(path, "topics")[0][MOTORS])
     assert reported["dropped"] > 0 and reported["received"] == reported["written"]
     assert reported["received"] + reported["dropped"] == last - first + 1

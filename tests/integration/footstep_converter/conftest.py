@@ -17,7 +17,6 @@ from tests.integration.plan_client import LIMIT, PlanClient
 
 @pytest.fixture(scope="package")
 def instance() -> Iterator[RunningInstance]:
-    """With the converter running: the same for all."""
     home = Path(tempfile.mkdtemp(prefix="valor-"))
     with fresh_instance(home) as running, pytest.MonkeyPatch.context() as environment:
         for name, value in running.instance.environment().items():
@@ -29,7 +28,6 @@ def instance() -> Iterator[RunningInstance]:
 
 @pytest.fixture(scope="package")
 def ros_client(instance: RunningInstance) -> Iterator[PlanClient]:
-    """A client of its action."""
     ros = RosClient(instance.environment, joint_states=False)
     yield PlanClient(ros)
     ros.close()

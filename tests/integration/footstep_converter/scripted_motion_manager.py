@@ -37,7 +37,6 @@ class ScriptedMotionManager:
         return FootstepPlanReply(accepted=accepted, behavior=self.behavior, reason=reason)
 
     def report(self, state: str, performed: int = -1, executing: int = -1, **more: Any) -> None:
-        """What it reports of the plan from now on."""
         self.step_status = StepStatus(
             time=more.get("time", 5_000_000_000),
             state=state,
@@ -49,7 +48,6 @@ class ScriptedMotionManager:
         )
 
     def publish(self) -> None:
-        """Say it now."""
         assert self.step_status is not None
         self._status.publish(self.step_status)
 
@@ -80,7 +78,6 @@ class ScriptedMotionManager:
 
 
 def begin(motion: ScriptedMotionManager, client: PlanClient) -> Goal:
-    """A plan under way."""
     motion.requests.clear()
     goal = client.send(plan())
     wait_until(lambda: motion.requests, LIMIT, "the plan at the Motion Manager")

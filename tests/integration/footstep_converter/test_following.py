@@ -153,8 +153,6 @@ def test_a_tool_may_publish_its_plan(motion: ScriptedMotionManager, ros_client: 
 
 
 class Tf:
-    """A node that reports where the frame ``map`` is."""
-
     def __init__(self, client: PlanClient) -> None:
         self._publisher = client.node.create_publisher(TFMessage, "/tf", 100)
 

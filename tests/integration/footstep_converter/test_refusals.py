@@ -67,8 +67,6 @@ def test_a_silent_motion_manager_is_requested_to_stop(motion: ScriptedMotionMana
 
 
 # Whatever ends a plan before its last step, its client receives what it was.
-
-
 def test_whatever_ends_the_stepping_ends_the_plan(motion: ScriptedMotionManager, ros_client: PlanClient) -> None:
     for behavior, expected in [
         ("fall", S.ERR_FALLEN | S.EMERGENCY_HALT),
@@ -127,8 +125,6 @@ def test_stopping_the_converter_stops_the_plan_and_notifies_the_client(
 
 
 # A plan that comes while another runs.
-
-
 def test_an_update_takes_over_from_where_the_robot_is(motion: ScriptedMotionManager, ros_client: PlanClient) -> None:
     """The planner's second plan begins with a step that has been taken, and everything in it lies 5 cm to the left."""
     goal = begin(motion, ros_client)

@@ -131,7 +131,6 @@ class Machine(RuleBasedStateMachine):
 
     @rule(turns=st.sampled_from((1, 8, 30)))
     def work(self, turns: int) -> None:
-        """The network works for a while."""
         for _ in range(turns):
             arriving, self.flying = self.flying, []
             for each in arriving:

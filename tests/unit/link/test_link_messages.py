@@ -19,15 +19,8 @@ from valor.common.linking import parsed
 from valor.link.classes import MessageClass
 from valor.link.errors import SealError
 from valor.robot.description import RobotDescription
-from valor.ros.link_messages import (
-    ACTIONS,
-    COMMANDS,
-    LinkMessageType,
-    MessageCodec,
-    class_of,
-    pack_message,
-    unpack_message,
-)
+from valor.ros import link_messages
+from valor.ros.link_messages import ACTIONS, COMMANDS, LinkMessageType, MessageCodec, class_of, unpack_message
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 CODEC = MessageCodec(ROBOT)
@@ -58,7 +51,11 @@ def test_garbage_raises_the_links_error_alone(data: bytes) -> None:
 
 
 def test_words_come_back() -> None:
-    assert unpack_message(pack_message(LinkMessageType.REFUSED, 7, b"why")) == (LinkMessageType.REFUSED, 7, b"why")
+    assert unpack_message(link_messages.pack_message(LinkMessageType.REFUSED, 7, b"why")) == (
+        LinkMessageType.REFUSED,
+        7,
+        b"why",
+    )
     with pytest.raises(SealError, match="at least 5"):
         unpack_message(bytes((LinkMessageType.GOAL, 1)))
 

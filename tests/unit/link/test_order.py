@@ -58,7 +58,6 @@ class Robot:
         self.link.until(lambda: self.link.operator.other.lower_bound(self.link.now) > 0.0, 10.0)
 
     def send(self, kind: MessageClass, content: bytes, _: float) -> None:
-        """Send an answer, at the time of the link."""
         type_, number, text = unpack_message(content)
         if type_ is LinkMessageType.REFUSED:
             self.rejected[number] = text.decode()

@@ -18,7 +18,6 @@ BAD = Conditions(bandwidth=300e6, delay=0.01, loss=0.03, duplication=0.05, reord
 
 
 def picture(size: int, seed: int = 0, clock: int = 500) -> Picture:
-    """A picture of random bytes."""
     return Picture(clock, "jpeg", "head_camera", random.Random(seed).randbytes(size))
 
 

@@ -18,13 +18,11 @@ from valor.whole_body.tasks import motions
 
 @pytest.fixture(scope="session")
 def robot() -> RobotDescription:
-    """ESCHER."""
     return load_robot()
 
 
 @pytest.fixture(scope="session")
 def model(robot: RobotDescription) -> Model:
-    """The controller's model of it."""
     return controller_model(robot)
 
 

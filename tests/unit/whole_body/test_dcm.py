@@ -13,8 +13,6 @@ STEP = 5e-4  # of the integration [s]
 
 
 class Law:
-    """A DCM law, evaluated."""
-
     def __init__(self, law: DcmLaw) -> None:
         self._point, self._com, self._dt = np.zeros((3, 3)), np.zeros(3), np.zeros(1)
         self.omega, self.integral = law.omega, np.zeros(3)
@@ -129,8 +127,6 @@ def test_minimum_jerk_begins_and_ends_at_rest() -> None:
 
 
 class Follower:
-    """What follows with 20 rad/s, evaluated."""
-
     def __init__(self, place: np.ndarray) -> None:
         self.state, self._next, self._target, self._dt = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(1)
         self.state[0] = place

@@ -76,7 +76,6 @@ def test_what_is_surely_within_is_within(
 
 @pytest.fixture(scope="module")
 def standing(robot: RobotDescription) -> RobotState:
-    """ESCHER's state, standing."""
     loop = ClosedLoop(robot)
     loop.run(0.1)
     return loop.state
@@ -91,7 +90,6 @@ def dcm_at(robot: RobotDescription, state: RobotState, outside: float, milliseco
 
 
 def turned(state: RobotState, tilt: float) -> RobotState:
-    """The state with its pelvis tilted forward [rad]."""
     c, s = np.cos(tilt), np.sin(tilt)
     rotation = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     return dataclasses.replace(state, pelvis_rotation_in_odom=rotation)

@@ -90,11 +90,9 @@ class Drops:
         self._depth = depth
 
     def sized(self, size: float) -> Self:
-        """The same for all."""
         return self
 
     def add_to(self, spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
-        """Add its blocks."""
         for i, (begin, end) in enumerate(((-2.0, 1.1), (1.1, 1.9), (1.9, 8.0))):
             ground(spec, type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5 * (end - begin), 3.0, 0.5],
                    pos=[0.5 * (begin + end), 0.0, -0.5 - i * self._depth])  # fmt: skip

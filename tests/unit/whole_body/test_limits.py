@@ -102,8 +102,6 @@ def test_rows_are_the_derivatives_of_values(model: Model, kind: str) -> None:
 
 
 # Parts of the robot keep apart: the rows against differences of distances, and what they do in closed loop.
-
-
 NOBODY: dict[str, Any] = {"self_collision": {"pairs": []}}
 ARM = {"l_shoulder_roll": -0.3, "l_shoulder_yaw": -1.5, "l_elbow_pitch": 0.3, "l_shoulder_pitch": 0.2}  # into the chest
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)

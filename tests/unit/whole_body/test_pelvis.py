@@ -33,8 +33,6 @@ def pelvis(model: Model) -> PelvisReference:
 
 
 class Bench:
-    """The handler, a behavior and robot time."""
-
     def __init__(self, pelvis: PelvisReference, *behaviors: Behavior) -> None:
         self.fsm, self.pelvis, self.rejections = BehaviorFsm(), pelvis, RejectionCounter()
         components: Any = SimpleNamespace(

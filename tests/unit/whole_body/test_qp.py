@@ -25,8 +25,6 @@ EQUALITY = 5  # DAQP's sense
 
 @dataclass
 class Problem:
-    """One control period's problem."""
-
     dynamics: Dynamics
     objective: Objective
     contacts: FootContacts
@@ -78,7 +76,6 @@ class Problem:
 
 
 def problem(robot: RobotDescription, model: Model, state: RandomState, seed: int) -> Problem:
-    """Random wishes at a state."""
     rng = np.random.default_rng(seed)
     dynamics = state.evaluate(model)
     objective = Objective([task(robot) for task in TASKS], motions(model), dynamics.joints)

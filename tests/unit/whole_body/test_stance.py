@@ -21,7 +21,6 @@ STIFFNESS = 100.0
 
 @pytest.fixture(scope="module")
 def standing() -> RobotState:
-    """ESCHER's state, standing."""
     loop = ClosedLoop(load_robot())
     loop.run(0.02)
     return loop.state
@@ -67,8 +66,6 @@ def test_feet_that_crept_apart_are_drawn_together(standing: RobotState, heading:
 
 
 # What the footholds report the ground ahead.
-
-
 slopes = st.floats(-STEEPEST, STEEPEST)
 places = st.floats(-50.0, 50.0)
 
@@ -133,8 +130,6 @@ def test_a_foot_that_settles_is_believed_where_it_settled() -> None:
 
 
 # Dynamics, Jacobians, their drift and the centroidal quantities, against MuJoCo's own and finite differences.
-
-
 STATES = 5
 
 

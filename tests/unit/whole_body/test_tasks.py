@@ -14,22 +14,11 @@ from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.whole_body import tasks
 from valor.whole_body.balance.reference import DcmLaw, Feet, Reference
 from valor.whole_body.model.dynamics import Dynamics
 from valor.whole_body.solver.qp import REGULARIZATION, Objective
-from valor.whole_body.tasks import (
-    CATCH_UP,
-    GROUPS,
-    TASKS,
-    WEIGHTS,
-    Period,
-    Posture,
-    Task,
-    motions,
-    nominal_weights,
-    sole_rows,
-    stance,
-)
+from valor.whole_body.tasks import CATCH_UP, GROUPS, TASKS, WEIGHTS, Period, Posture, Task, motions, sole_rows, stance
 from valor.whole_body.tuning_tables import Tuning
 
 STEP = 1e-6  # [s]
@@ -119,12 +108,10 @@ def test_rows_of_tasks_and_names_of_weights_have_the_order_of_the_interface(
     assert ends[-1] == of_all.count == len(of_all.carried)
     assert WEIGHTS[:4] == ("com", "angular_momentum", "orientation", "foot")
     assert WEIGHTS[-3:] == ("arm_posture", "waist_posture", "leg_posture")
-    assert nominal_weights(table) == [getattr(table, f"{name}_weight") for name in WEIGHTS]
+    assert tasks.nominal_weights(table) == [getattr(table, f"{name}_weight") for name in WEIGHTS]
 
 
 # --- what they ask for ------------------------------------------------------------------------------------------------
-
-
 def period(
     robot: RobotDescription, dynamics: Dynamics, *, steps: bool, swinging: int | None
 ) -> tuple[Period, FloatArray]:
@@ -219,8 +206,6 @@ def test_posture_is_followed_no_faster_than_allowed(robot: RobotDescription, mod
 
 
 # --- weights ----------------------------------------------------------------------------------------------------------
-
-
 def test_the_objective_weighs_each_task_by_its_own_weight(robot: RobotDescription, model: Model) -> None:
     """H is the sum of w·JᵀJ; the swinging foot has the weight of the walking table."""
     dynamics = next(iter(random_states(model, 1, seed=3))).evaluate(model)
