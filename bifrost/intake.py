@@ -133,8 +133,6 @@ class Intake:
         self._more = True
         return None
 
-    # --- checking -------------------------------------------------------------------------------------------------
-
     def _take(self, frame: bytes) -> Checked | None:
         # Few steps in the common case, a message of the same publisher: in a control loop the caches are cold.
         stream, latched = self._stream, False
@@ -227,8 +225,6 @@ class Intake:
         if about not in self._warned and len(self._warned) < _WARNINGS:
             self._warned.add(about)
             _log.warning("%s", text)
-
-    # --- connecting -----------------------------------------------------------------------------------------------
 
     def _connect(self) -> None:
         """Connect to the topic's present publishers, and disconnect from the others."""

@@ -70,8 +70,6 @@ class Neighbors:
         self._watches: dict[_Key, list[Watch]] = {}
         self._changed: set[_Key] = set()
 
-    # --- updating -------------------------------------------------------------------------------------------------
-
     def replace(self, records: Iterable[d.NodeRecord], epoch: int, version: int) -> None:
         """Replace the table."""
         new = {record.incarnation: record for record in records}
@@ -136,8 +134,6 @@ class Neighbors:
                 ends.pop(incarnation, None)
                 if not ends:
                     del self._ends[key]
-
-    # --- reading --------------------------------------------------------------------------------------------------
 
     @property
     def any_departed(self) -> bool:

@@ -53,8 +53,6 @@ class CommandArbiter:
         """True if there is no command source: joints must hold, or stay ``limp``."""
         return self.abandoned and not self.balancing
 
-    # --- Motors of a Motion Manager --------------------------------------------------------------------------------
-
     def accepts(self, motor: Motor) -> bool:
         """Return whether a Motor may control the robot now.
 
@@ -93,8 +91,6 @@ class CommandArbiter:
             _log.warning("%s: in %s, the balance reflex brings the robot to stand", why, behavior)
         else:
             self._rest(why)
-
-    # --- without one ----------------------------------------------------------------------------------------------
 
     def measured(self, state: Proprioceptor) -> None:
         self._state = state

@@ -116,8 +116,6 @@ class PlanRunner:
             self._running.goal.end(outcome, self._running.execution)
         return reply
 
-    # --- goals --------------------------------------------------------------------------------------------------
-
     def begin(self, goal: PlanGoal) -> None:
         """Process a new goal: a plan, or a stop."""
         if reason := self._rejection():
@@ -191,8 +189,6 @@ class PlanRunner:
         if self._running is not None and goal is self._running.goal:
             self._stop_requested = True
 
-    # --- replies --------------------------------------------------------------------------------------------------
-
     def _process_reply(self) -> None:
         """Process the reply to the open plan request, if received."""
         request = self._request
@@ -261,8 +257,6 @@ class PlanRunner:
             self._stop_reply = self._motion.request([], self._wake)
             if execution is not None:
                 execution.request_stop(now)
-
-    # --- the running plan -----------------------------------------------------------------------------------------
 
     def _follow(self) -> None:
         """Process reports on the running plan; send feedback; detect its end."""

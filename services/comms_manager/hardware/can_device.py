@@ -131,8 +131,6 @@ class CanDevice(Device):
         self._now: int | None = None  # ``elapsed`` at this SYNC, if a unit has responded [ns]
         self.elapsed = 0  # time since ``find`` by the units' clocks [ns]
 
-    # --- for the main loop ----------------------------------------------------------------------------------------
-
     def request_states(self) -> None:
         self.gathered.clear()
         self._states_wanted = True
@@ -141,8 +139,6 @@ class CanDevice(Device):
     def await_states(self) -> None:
         """Wait for these states, at most twice their timeout."""
         self.gathered.wait(2.0 * GATHERING)
-
-    # --- start and end --------------------------------------------------------------------------------------------
 
     def find(self) -> None:
         """Check the identity of every unit, and receive a first state of each."""
@@ -184,8 +180,6 @@ class CanDevice(Device):
         raise DeviceError(
             f"{unit.name}: no answer on CAN bus {self._number} within {TRIES * ANSWER_TIME:g} s; {expectation}"
         )
-
-    # --- the thread -----------------------------------------------------------------------------------------------
 
     def run(self, stopping: threading.Event) -> None:
         while not stopping.is_set():

@@ -52,8 +52,6 @@ class DynamixelServos(Device):
         self._enabled = False
         self._gone: tuple[UnitFault, ...] = ()
 
-    # --- start and end ------------------------------------------------------------------------------------------------
-
     def find(self) -> None:
         """Check every servo's model, firmware, state and position; none moves."""
         self._open()
@@ -155,8 +153,6 @@ class DynamixelServos(Device):
             if servo.present:
                 by_table.setdefault(servo.registers, []).append(servo.table.id)
         self._readers = [self._port.reader(registers.feedback, servos) for registers, servos in by_table.items()]
-
-    # --- the thread ---------------------------------------------------------------------------------------------------
 
     def run(self, stopping: Event) -> None:
         due = sought = time.monotonic()

@@ -150,8 +150,6 @@ class Servo:
         self._clock.reset()
         self._encoder.reset()
 
-    # --- commands ----------------------------------------------------------------------------------------------------
-
     def switched(self, on: bool) -> None:
         """Note that its motor is on, and starts from the joint's position, or off as commanded."""
         self.torque = on
@@ -174,8 +172,6 @@ class Servo:
         steps = self.table.zero + self.table.direction * round(goal / self.model.position_unit)
         lowest, highest = self.model.goals
         return min(max(steps, lowest), highest)
-
-    # --- responses ----------------------------------------------------------------------------------------------------
 
     def process(self, answer: Answer, received: int, must_be_on: bool) -> bool:
         """Process a response received at ``received`` [ns]; returns whether it is plausible."""

@@ -120,8 +120,6 @@ class Hdt(Device):
     def wake(self) -> None:
         """Nothing: the thread has its own rate."""
 
-    # --- start and end --------------------------------------------------------------------------------------------
-
     def find(self) -> None:
         """Wait until every joint has been measured; the driver checks the limbs' identities."""
         deadline = time.monotonic() + FINDING
@@ -159,8 +157,6 @@ class Hdt(Device):
                 why = "module does not respond" if fault & _NO_ANSWER else "encoder has jumped"
                 return f"{unit}: {joint}: its {why}; expected all modules"
         return ""
-
-    # --- the thread -----------------------------------------------------------------------------------------------
 
     def run(self, stopping: Event) -> None:
         for limb in self._limbs:  # they may have moved since ``find``

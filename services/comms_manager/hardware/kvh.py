@@ -111,8 +111,6 @@ class Kvh(SerialSensor):
         self._came = 0.0  # time of the latest message [monotonic s]
         self._oriented = 0.0  # time of the latest attitude [monotonic s]
 
-    # --- start and end ------------------------------------------------------------------------------------------------
-
     def _wanted(self) -> str:
         return f"a KVH 1750 with serial number {self._table.serial} on {self._path}, at rest"
 
@@ -149,8 +147,6 @@ class Kvh(SerialSensor):
                     raise DeviceError(f"{self.name}: response to {command} is {value!r}; expected {self._wanted()}")
                 return value
         raise NoAnswerError(f"{self.name}: no answer within {tries * ANSWER_TIME:g} s; expected {self._wanted()}")
-
-    # --- the thread ---------------------------------------------------------------------------------------------------
 
     def _take(self, frame: bytes) -> bool:
         stamp = time.monotonic_ns()

@@ -95,8 +95,6 @@ class MicroStrain(SerialSensor):
         self._table = table
         self._filter_state = RUNNING_VALID
 
-    # --- start and end ------------------------------------------------------------------------------------------------
-
     def _wanted(self) -> str:
         table = self._table
         return f"a {table.model} with serial number {table.serial} and firmware {table.firmware} on {self._path}"
@@ -161,8 +159,6 @@ class MicroStrain(SerialSensor):
                         )
                     return fields
         raise NoAnswerError(f"{self.name}: no answer within {tries * ANSWER_TIME:g} s; expected {self._wanted()}")
-
-    # --- the thread ---------------------------------------------------------------------------------------------------
 
     def _take(self, frame: bytes) -> bool:
         packet = decode(frame)

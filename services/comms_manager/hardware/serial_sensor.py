@@ -51,8 +51,6 @@ class SerialSensor(Device):
         self._looked = math.inf  # time of the last read [monotonic s]
         self._away = 0.0  # delay of the latest read beyond the thread's sleep [s]
 
-    # --- what a protocol adds -----------------------------------------------------------------------------------------
-
     @abstractmethod
     def _wanted(self) -> str:
         """Human-readable description of the expected sensor."""
@@ -93,8 +91,6 @@ class SerialSensor(Device):
         late = self._clock.lateness(device_time, 1e-9 * stamp) if math.isfinite(device_time) else None
         return None if late is None or late > LATEST + self._away else late
 
-    # --- start and end ------------------------------------------------------------------------------------------------
-
     def find(self) -> None:
         self._connect(TRIES)
         deadline = time.monotonic() + self.first_sample
@@ -131,8 +127,6 @@ class SerialSensor(Device):
         if self._port is not None:
             self._port.close()
             self._port = None
-
-    # --- the thread ---------------------------------------------------------------------------------------------------
 
     def run(self, stopping: Event) -> None:
         """Process samples until ``stopping`` is set; find the sensor again after a disconnection."""

@@ -87,8 +87,6 @@ class SeriesElastic(CanDevice):
         self._sent: JointCommands | None = None
         self._enabled = False
 
-    # --- start and end --------------------------------------------------------------------------------------------
-
     def find(self) -> None:
         """Check every controller's identity, and that the joints are in the calibration pose."""
         super().find()
@@ -114,8 +112,6 @@ class SeriesElastic(CanDevice):
                 if not self._request(unit, code, f"expected a reply to {code.name.lower()}").done:
                     raise DeviceError(f"{unit.name}: it rejects {code.name.lower()}; expected its motors to be on")
         self._enabled = True
-
-    # --- the thread -----------------------------------------------------------------------------------------------
 
     def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
         assert isinstance(unit, _Controller)

@@ -144,8 +144,6 @@ class StepQueue:
         self.state, self._just_finished = "finished", True
         self.changes += 1
 
-    # --- StepSource -----------------------------------------------------------------------------------------------
-
     def upcoming(self, soles: Sequence[SolePose]) -> Sequence[Step]:
         """Return the queued steps."""
         return self.steps

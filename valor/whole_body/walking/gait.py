@@ -149,8 +149,6 @@ class Gait:
                 self._give_way(state, dcm, self._step)
         self._feet()
 
-    # --- phases ---------------------------------------------------------------------------------------------------
-
     def _begin_transfer(self, state: RobotState, steps: Sequence[Step], shortest: float = 0.0) -> None:
         """Start the transfer to the next step, or to rest."""
         self._time = self._lower = self._lowered = 0.0

@@ -116,8 +116,6 @@ class VelocitySteps:
             table.transfer_duration + share * (table.fast_transfer_duration - table.transfer_duration),
         )
 
-    # --- StepSource -----------------------------------------------------------------------------------------------
-
     def upcoming(self, soles: Sequence[SolePose]) -> Sequence[Step]:
         """Return the next steps; none for a robot that is to stand with its feet side by side."""
         velocity = self._changed(self.velocity)
@@ -147,8 +145,6 @@ class VelocitySteps:
         """Clear velocity, foot and ground."""
         self.velocity, self._last_foot = np.zeros(3), None
         self._ground.forget()
-
-    # --- helpers --------------------------------------------------------------------------------------------------
 
     def _changed(self, velocity: FloatArray) -> FloatArray:
         new: FloatArray = velocity + np.clip(self._wanted - velocity, -self._change, self._change)
