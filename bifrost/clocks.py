@@ -12,18 +12,13 @@ SAMPLES = 256  # one per second
 
 
 class OtherClock:
-    """The clock of another computer, for conversion of its stamps. Written by one thread, read by any.
-
-    Attributes:
-        ahead: offset to this computer's clock [ns].
-        known: whether the offset has been measured.
-    """
+    """The clock of another computer, for conversion of its stamps. Written by one thread, read by any."""
 
     __slots__ = ("ahead", "known")
 
     def __init__(self) -> None:
-        self.ahead = 0
-        self.known = False
+        self.ahead = 0  # offset to this computer's clock [ns]
+        self.known = False  # whether the offset has been measured
 
 
 OWN_CLOCK = OtherClock()

@@ -47,19 +47,12 @@ class _Announced(NamedTuple):
 
 
 class Discovery:
-    """See the module. All public methods are thread-safe.
-
-    Attributes:
-        network: of the node.
-        name: of the node.
-        incarnation: a random number that no other node, and no later run of this one, has.
-        wakes: wakes subscribers when their publishers change.
-    """
+    """See the module. All public methods are thread-safe."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, name: str, recall: bool) -> None:
         self.network, self.name = network, name
         self.daemon_silent = f"bifrostd at {network.computer.daemon} does not respond"  # message for the user
-        self.incarnation = secrets.randbits(63)
+        self.incarnation = secrets.randbits(63)  # of no other node, nor of a later run of this one
         here = network.computer.name
         self._bare_record = d.NodeRecord(name, self.incarnation, os.getpid(), here, time.monotonic_ns())
         self._lock = threading.Lock()

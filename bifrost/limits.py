@@ -22,18 +22,13 @@ class Limit(msgspec.Struct, frozen=True):
 
 
 class Meter:
-    """Checks one sender against a limit (generic cell rate algorithm, ITU-T I.371).
-
-    Attributes:
-        name: of the sender.
-        muted_until: end of its mute by the receiver's clock [ns]; 0: never muted.
-    """
+    """Checks one sender against a limit (generic cell rate algorithm, ITU-T I.371)."""
 
     __slots__ = ("_due", "_interval", "_tolerance", "_topic", "muted_until", "name")
 
     def __init__(self, limit: Limit, topic: str = "", name: str = "") -> None:
         self.name, self._topic = name, topic
-        self.muted_until = 0
+        self.muted_until = 0  # end of its mute by the receiver's clock [ns]; 0: never muted
         self._interval = int(1e9 / limit.rate)
         self._tolerance = self._interval * limit.burst
         self._due = -(2**63)

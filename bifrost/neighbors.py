@@ -49,20 +49,14 @@ class _Departed:
 
 
 class Neighbors:
-    """All nodes, indexed by topic. Without a lock: the owner locks.
-
-    Attributes:
-        nodes: records of the other nodes, as in the daemon's table.
-        epoch: of the daemon.
-        version: of its table; −1 before the first.
-    """
+    """All nodes, indexed by topic. Without a lock: the owner locks."""
 
     def __init__(self, here: str) -> None:
         """Start empty, for a node on the computer ``here``."""
         self._here = here
-        self.nodes: dict[int, d.NodeRecord] = {}
-        self.epoch = 0
-        self.version = -1
+        self.nodes: dict[int, d.NodeRecord] = {}  # records of the other nodes, as in the daemon's table
+        self.epoch = 0  # of the daemon
+        self.version = -1  # of its table; −1 before the first
         self._departed: dict[int, _Departed] = {}
         self._own_record: d.NodeRecord | None = None
         self._own: dict[_Key, list[d.Entry]] = {}

@@ -20,21 +20,14 @@ class RemoteDaemon:
 
     While that daemon is unreachable, its nodes are not in the table, but stored. When it is reachable again, only
     changes are sent, and connections to unchanged nodes persist.
-
-    Attributes:
-        computer: of the daemon.
-        reachable: whether a message has been received within the last seconds.
-        nodes: latest records by incarnation.
-        heard: time of the latest message, monotonic [s].
-        clock: of the computer.
     """
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], network: Network, computer: Computer) -> None:
-        self.computer = computer
-        self.reachable = False
-        self.nodes: dict[int, d.NodeRecord] = {}
-        self.heard = 0.0
-        self.clock = ClockFilter()
+        self.computer = computer  # of the daemon
+        self.reachable = False  # whether a message has been received within the last seconds
+        self.nodes: dict[int, d.NodeRecord] = {}  # latest records by incarnation
+        self.heard = 0.0  # time of the latest message, monotonic [s]
+        self.clock = ClockFilter()  # of the computer
         self._ours = network.computer.name
         self._epoch, self._version = 0, -1
         self._next_follow = 0.0

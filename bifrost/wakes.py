@@ -8,14 +8,10 @@ _ENDPOINT = "inproc://bifrost.wake"
 
 
 class Wakes:
-    """Topics whose subscribers must check for changes. ``add`` may be called from any thread.
-
-    Attributes:
-        socket: readable after a new subscription.
-    """
+    """Topics whose subscribers must check for changes. ``add`` may be called from any thread."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]]) -> None:
-        self.socket = context.socket(zmq.XPUB)
+        self.socket = context.socket(zmq.XPUB)  # readable after a new subscription
         self.socket.setsockopt(zmq.LINGER, 0)
         self.socket.setsockopt(zmq.XPUB_VERBOSE, 1)
         self.socket.bind(_ENDPOINT)

@@ -40,11 +40,7 @@ class _Tap:
 
 
 class BifrostTap:
-    """Subscribes to every recorded topic, and passes messages to a sink.
-
-    Attributes:
-        state: latest state of the Motion Manager, if it is recorded and has arrived.
-    """
+    """Subscribes to every recorded topic, and passes messages to a sink."""
 
     def __init__(
         self,
@@ -56,7 +52,7 @@ class BifrostTap:
     ) -> None:
         """Subscribe to the selected topics; ``alive``: watchdog, called repeatedly during long work."""
         self._offset, self._alive = clock.offset, alive
-        self.state: bifrost.Received[MotionState] | None = None
+        self.state: bifrost.Received[MotionState] | None = None  # latest, if it is recorded and has arrived
         self._taps = [
             _Tap(node, topic) for topic in topics if topic.record_every > 0 and PREFIX + topic.name in selection
         ]

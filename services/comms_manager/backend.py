@@ -8,15 +8,10 @@ from valor.comms_manager.commands import Commands
 
 
 class Backend(ABC):
-    """The robot's devices and their time.
+    """The robot's devices and their time."""
 
-    Attributes:
-        waits_for_motor: robot time starts with the first Motor; otherwise it passes independently.
-        demand: reaction that the condition of the devices requires.
-    """
-
-    waits_for_motor = True
-    demand = Reaction.KEEP_BALANCE
+    waits_for_motor = True  # robot time starts with the first Motor; otherwise it passes independently
+    demand = Reaction.KEEP_BALANCE  # reaction that the condition of the devices requires
 
     @property
     def paused(self) -> bool:

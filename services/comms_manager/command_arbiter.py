@@ -25,23 +25,17 @@ _log = logging.getLogger("comms_manager")
 
 
 class CommandArbiter:
-    """Selects the active Motor.
-
-    Attributes:
-        motor: active Motor; None before the first.
-        admitted: number of Motors so far, so that a user detects a new ``motor``.
-        abandoned: Motor of the Motion Manager has timed out.
-        balancing: the balance reflex is the source.
-        limp: no source, and the active Motor, which only damps, continues to act.
-    """
+    """Selects the active Motor."""
 
     def __init__(self, reflex: BalanceReflex, latch: BehaviorLatch) -> None:
         self._reflex, self._latch = reflex, latch
         self._state: Proprioceptor | None = None
         self._ordered = ""  # freeze or fall, until a Motion Manager adopts it
-        self.motor: Motor | None = None
-        self.admitted = 0
-        self.abandoned = self.balancing = self.limp = False
+        self.motor: Motor | None = None  # active one
+        self.admitted = 0  # number of Motors so far, so that a user detects a new ``motor``
+        self.abandoned = False  # Motor of the Motion Manager has timed out
+        self.balancing = False  # the balance reflex is the source
+        self.limp = False  # no source, and the active Motor, which only damps, continues to act
 
     @property
     def behavior(self) -> str:

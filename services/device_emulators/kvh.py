@@ -16,20 +16,14 @@ _VALUES = {"ROTFMT": ("DELTA", "RATE"), "ROTUNITS": ("RAD",), "TEMPUNITS": ("C",
 
 
 class KvhSensor:
-    """Sensor: receives lines of text, sends responses and messages.
-
-    Attributes:
-        temperature: [°C].
-        rotation: (3,) angular velocity [rad/s].
-        acceleration: (3,) specific force [m/s²].
-        configuring: in configuration mode, without messages.
-    """
+    """Sensor: receives lines of text, sends responses and messages."""
 
     def __init__(self, serial: str) -> None:
         self._serial = serial
-        self.temperature = NORMAL
-        self.rotation, self.acceleration = np.zeros(3), np.array([0.0, 0.0, STANDARD_GRAVITY])
-        self.configuring = False
+        self.temperature = NORMAL  # [°C]
+        self.rotation = np.zeros(3)  # [rad/s]
+        self.acceleration = np.array([0.0, 0.0, STANDARD_GRAVITY])  # specific force [m/s²]
+        self.configuring = False  # in configuration mode, without messages
         self._is_rate = False  # by factory settings, rotations are angles since the last message
         self._received = b""
         self._timer = Timer(1e-3)

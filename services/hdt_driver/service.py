@@ -131,16 +131,11 @@ class Modules:
 
 
 class ModuleBus:
-    """Exchanges one command and one state with each limb in every cycle of it.
-
-    Attributes:
-        limbs: by number.
-        errors: number of states that were invalid, repeated or out of order, and of commands that were not sent.
-    """
+    """Exchanges one command and one state with each limb in every cycle of it."""
 
     def __init__(self, path: Path, limbs: list[Modules]) -> None:
-        self.limbs = limbs
-        self.errors = 0
+        self.limbs = limbs  # by number
+        self.errors = 0  # number of states that were invalid, repeated or out of order, and of unsent commands
         self._path = str(path)
         self._frame = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)

@@ -37,11 +37,7 @@ _log = logging.getLogger("link_robot")
 
 
 class CommandExecutor:
-    """Publisher and action client for received commands. For the thread that spins the node.
-
-    Attributes:
-        velocity_published_at: time of the last velocity of this session, monotonic [s]; −inf if there was none.
-    """
+    """Publisher and action client for received commands. For the thread that spins the node."""
 
     def __init__(self, node: Node, end: LinkEndpoint, robot: RobotDescription) -> None:
         self._end = end
@@ -52,7 +48,7 @@ class CommandExecutor:
         self._canceled: set[int] = set()  # before they were accepted
         self._latest: dict[str, int] = {}  # link id of the latest command executed, by target
         self._session = 0
-        self.velocity_published_at = -math.inf
+        self.velocity_published_at = -math.inf  # in this session, monotonic [s]; −inf: never
 
     def begin_session(self) -> None:
         """Discard the goals of the last session; they continue, but their results are not sent."""

@@ -30,11 +30,7 @@ EVENTS = QoSProfile(depth=20)
 
 
 class Observer:
-    """Stores the latest message of each topic.
-
-    Attributes:
-        rejections: received; the caller clears them.
-    """
+    """Stores the latest message of each topic."""
 
     def __init__(self, node: Node, robot: RobotDescription) -> None:
         """``node``: its executor does not serve these subscriptions."""
@@ -45,7 +41,7 @@ class Observer:
         self._received_at: dict[str, float] = {}
         self._order: list[int] = []
         self._taken_at = time.monotonic()
-        self.rejections: list[Rejection] = []
+        self.rejections: list[Rejection] = []  # received; the caller clears them
         self._inputs = [
             (name, polled(node, kind, topic, qos))
             for name, kind, topic, qos in (

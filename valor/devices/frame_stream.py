@@ -4,12 +4,7 @@ from collections.abc import Callable, Iterator
 
 
 class FrameStream:
-    """Extracts the frames of one protocol from a stream; a valid frame may start inside an invalid candidate.
-
-    Attributes:
-        skipped: bytes that were part of no frame.
-        invalid: number of invalid candidates with a valid header.
-    """
+    """Extracts the frames of one protocol from a stream; a valid frame may start inside an invalid candidate."""
 
     def __init__(
         self, header: bytes, prefix: int, size: Callable[[bytearray], int], is_valid: Callable[[bytes], bool]
@@ -17,8 +12,8 @@ class FrameStream:
         """``size`` of a frame follows from its first ``prefix`` bytes, with header and checksum [B]; 0 if invalid."""
         self._header, self._prefix, self._size, self._is_valid = header, prefix, size, is_valid
         self._buffer = bytearray()
-        self.skipped = 0
-        self.invalid = 0
+        self.skipped = 0  # bytes that were part of no frame
+        self.invalid = 0  # number of invalid candidates with a valid header
 
     def feed(self, data: bytes) -> Iterator[bytes]:
         """Add bytes; yields the completed frames, in order."""

@@ -28,18 +28,12 @@ JOINT_STATE, ATTITUDE, WRENCH, TIME = Quantity.JOINT_STATE, Quantity.ATTITUDE, Q
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of device; driver and emulator are names, so that reading robot.yaml imports neither.
+    """A kind of device; driver and emulator are names, so that reading robot.yaml imports neither."""
 
-    Attributes:
-        table: in robot.yaml; the table's tag is the kind's name there.
-        driver: in ``valor.comms_manager.hardware``: module and class, a ``Device``.
-        emulator: in ``valor.device_emulators``: module and class, an ``Emulator``.
-    """
-
-    table: type[Device]
+    table: type[Device]  # in robot.yaml; the table's tag is the kind's name there
     provides: Quantity
-    driver: str
-    emulator: str
+    driver: str  # in ``valor.comms_manager.hardware``: module and class, a ``Device``
+    emulator: str  # in ``valor.device_emulators``: module and class, an ``Emulator``
 
     @property
     def name(self) -> str:

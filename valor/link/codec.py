@@ -144,17 +144,11 @@ Levels = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Frame:
-    """Quantised state.
+    """Quantised state."""
 
-    Attributes:
-        values: (N,) in the layout's order.
-        clamped: (N,) whether the value was outside its range, or not finite.
-        levels: (N,) quantised values.
-    """
-
-    values: FloatArray
-    clamped: npt.NDArray[np.bool_]
-    levels: Levels
+    values: FloatArray  # (N,) in the layout's order
+    clamped: npt.NDArray[np.bool_]  # (N,) whether the value was outside its range, or not finite
+    levels: Levels  # (N,) quantised values
 
 
 class Codec:

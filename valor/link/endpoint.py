@@ -63,21 +63,14 @@ Event = Arrived | SessionStarted | MessagesExpired
 
 
 class LinkEndpoint:
-    """Common part of both ends.
-
-    Attributes:
-        other: bounds of the other end's clock.
-        meter: bytes sent on the slow channel.
-        received_meter: bytes received on the slow channel.
-        rejected: number of rejected datagrams.
-    """
+    """Common part of both ends."""
 
     def __init__(self, session: Session, rates: Rates, now: float, fast: bool) -> None:
         self._has_fast = fast
         self.session, self._rates, self._started = session, rates, now
         self._budget = Budget(rates, now)
-        self.meter, self.received_meter = Meter(), Meter()
-        self.rejected = 0
+        self.meter, self.received_meter = Meter(), Meter()  # bytes on the slow channel
+        self.rejected = 0  # number of datagrams
         self._received_at = {Channel.SLOW: -1e9, Channel.FAST: -1e9}
         self._hello_due = self._reply_due = self._acknowledgement_due = now
         self._regular_due = {Channel.SLOW: now, Channel.FAST: now}
@@ -87,7 +80,7 @@ class LinkEndpoint:
         self._reset()
 
     def _reset(self) -> None:
-        self.other = OtherClock()
+        self.other = OtherClock()  # bounds of the other end's clock
         self._outbox, self._inbox = Outbox(), Inbox()
         self._to_acknowledge: set[tuple[int, int]] = set()
         self._echo: tuple[float, float] | None = None  # the other end's clock, and when it was received

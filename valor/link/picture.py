@@ -27,17 +27,11 @@ _PICTURE = struct.Struct(">QBB")  # clock, lengths of format and frame
 
 @dataclass(frozen=True)
 class Picture:
-    """A compressed picture.
+    """A compressed picture."""
 
-    Attributes:
-        clock: robot end's clock when it was taken [ms].
-        form: ``format`` of ``sensor_msgs/CompressedImage``.
-        frame: of the camera.
-    """
-
-    clock: int
-    form: str
-    frame: str
+    clock: int  # robot end's clock when it was taken [ms]
+    form: str  # ``format`` of ``sensor_msgs/CompressedImage``
+    frame: str  # of the camera
     content: bytes
 
     def encode(self) -> bytes:

@@ -28,17 +28,13 @@ _PRIORITY = {kind: number for number, kind in enumerate(BY_CLASS)}
 
 @dataclass(frozen=True)
 class Message:
-    """A part of a reliable message.
-
-    Attributes:
-        deadline: by the robot end's clock [ms]; ``NO_DEADLINE``: none.
-    """
+    """A part of a reliable message."""
 
     kind: MessageClass
     id: int
     part: int
     parts: int
-    deadline: int
+    deadline: int  # by the robot end's clock [ms]; ``NO_DEADLINE``: none
     content: bytes
 
     def record(self) -> bytes:
@@ -93,19 +89,12 @@ def records(data: bytes) -> Iterator[tuple[MessageClass, bytes]]:
 
 @dataclass(frozen=True)
 class Acknowledgement:
-    """What one end has received.
+    """What one end has received."""
 
-    Attributes:
-        state: counter of the latest state; 0: none.
-        clock: of the sender, when it sent this [ms].
-        echo: latest clock received from the other end, plus the time since then [ms]; 0: none.
-        messages: ids and parts.
-    """
-
-    state: int
-    clock: int
-    echo: int
-    messages: tuple[tuple[int, int], ...] = ()
+    state: int  # counter of the latest state; 0: none
+    clock: int  # of the sender, when it sent this [ms]
+    echo: int  # latest clock received from the other end, plus the time since then [ms]; 0: none
+    messages: tuple[tuple[int, int], ...] = ()  # ids and parts
 
     def record(self) -> bytes:
         """Record for a datagram."""

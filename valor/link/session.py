@@ -90,12 +90,7 @@ class _Keys:
 
 
 class Session:
-    """One end of the session.
-
-    Attributes:
-        number: of sessions so far; a change means that pending messages are lost.
-        mismatch: reason for which the other end is rejected; empty if it is not.
-    """
+    """One end of the session."""
 
     def __init__(self, secret: bytes, robot_end: bool, print_: bytes) -> None:
         """``secret``: shared with the other end; ``print_``: fingerprint that the other end must have, too."""
@@ -106,8 +101,8 @@ class Session:
         self._keys: _Keys | None = None
         self._candidates: list[_Keys] = []  # of the operator's end: answered, no datagram received yet
         self._confirmation = b""  # of the latest candidate
-        self.number = 0
-        self.mismatch = ""
+        self.number = 0  # of sessions so far; a change means that pending messages are lost
+        self.mismatch = ""  # reason for which the other end is rejected; empty if it is not
 
     @property
     def established(self) -> bool:

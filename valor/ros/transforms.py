@@ -94,11 +94,7 @@ def _numbers(position: Sequence[float], orientation: Sequence[float]) -> tuple[f
 
 
 class TransformPublisher:
-    """Publishes the transforms in one prepared message.
-
-    Attributes:
-        fixed: constant transforms, for ``/tf_static``.
-    """
+    """Publishes the transforms in one prepared message; ``fixed``: constant ones, for ``/tf_static``."""
 
     def __init__(
         self, node: Node, tree: KinematicTree, robot: RobotDescription, stamp: Time, *, prefix: str = ""

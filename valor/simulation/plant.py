@@ -35,13 +35,7 @@ def scene(robot: RobotDescription, world: str, seed: int, shapes: Shapes) -> muj
 
 
 class Plant:
-    """Physics of robot and world, at first in the nominal posture.
-
-    Attributes:
-        model: addresses and the MuJoCo model with the plant's own masses and friction.
-        data: MuJoCo's state.
-        actuators: the motors.
-    """
+    """Physics of robot and world, at first in the nominal posture; ``model`` has its own masses and friction."""
 
     def __init__(self, robot: RobotDescription, world: str, profile: str, seed: int) -> None:
         if profile not in robot.tables.actuators:

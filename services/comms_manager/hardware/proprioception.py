@@ -81,20 +81,14 @@ def _turned(sample: ImuMeasurement, turn: float) -> ImuMeasurement:
 
 
 class Proprioception:
-    """Latest measurements of all devices; after a timeout, the last ones.
-
-    Attributes:
-        position: (n,) of the joints [rad].
-        velocity: (n,) [rad/s].
-        effort: (n,) [N·m].
-    """
+    """Latest measurements of all devices; after a timeout, the last ones."""
 
     def __init__(self, robot: RobotDescription, devices: Sequence[Device]) -> None:
         n = len(robot.joints)
         self._moving = providers(devices, Quantity.JOINT_STATE)
         self._feeling = providers(devices, Quantity.WRENCH)
         self._attitude = AttitudeSource(providers(devices, Quantity.ATTITUDE))
-        self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.zeros(n)  # [rad, rad/s, N·m]
         self._wrenches = {place: np.zeros(6) for place in get_args(WrenchPlace)}
         self._voltage = NOMINAL_VOLTAGE
 

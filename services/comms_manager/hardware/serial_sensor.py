@@ -29,13 +29,9 @@ class NoAnswerError(DeviceError):
 
 
 class SerialSensor(Device):
-    """A sensor on its own port: identified, set up to stream, read, and found again after a disconnection.
+    """A sensor on its own port: identified, set up to stream, read, and found again after a disconnection."""
 
-    Attributes:
-        first_sample: timeout of the first sample at start [s].
-    """
-
-    first_sample = 1.0
+    first_sample = 1.0  # timeout of the first sample at start [s]
 
     def __init__(self, name: str, context: DeviceContext, rate: float, baud_rate: int, stream: FrameStream) -> None:
         """``stream``: of the protocol's frames."""

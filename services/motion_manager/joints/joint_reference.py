@@ -37,13 +37,7 @@ class Setpoint:
 
 
 class JointReference:
-    """The reference of all joints, advanced once a control period.
-
-    Times are robot time [s].
-
-    Attributes:
-        inconsistent: (n,) joints whose velocity does not follow their acceleration; it is not fed forward.
-    """
+    """The reference of all joints, advanced once a control period. Times are robot time [s]."""
 
     def __init__(self, robot: RobotDescription) -> None:
         n = len(robot.joints)
@@ -58,6 +52,7 @@ class JointReference:
         self._targets = tuple(self._target)
         self._target_acceleration = np.zeros(n)
         self._mismatch = np.zeros(n)
+        # Joints whose velocity does not follow their acceleration, which is then not fed forward.
         self.inconsistent: Joints = np.zeros(n, dtype=bool)
         self._move: PostureMove | None = None
         self._moving: Joints = np.zeros(n, dtype=bool)
