@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import resource
 import signal
 import socket
 import subprocess
@@ -25,7 +26,7 @@ from valor.common.messages import BalanceWeights, JointGains, JointSetpoints, Pe
 from valor.common.topics import BALANCE_WEIGHTS, FAULT, JOINT_GAINS, JOINT_SETPOINTS, PELVIS, VELOCITY
 from valor.robot.description import RobotDescription
 
-STOPPED = 7.0  # [s]
+STOPS = (0.2, 7.0)  # [s]
 FLOOD = 1.0  # once it is received [s]
 STARVATION = 3.0  # [s]
 NAN = float("nan")
@@ -59,10 +60,10 @@ def _kill(rig: Rig, rng: random.Random, process: str) -> list[str]:
     return []
 
 
-def _stop(rig: Rig, rng: random.Random, process: str) -> list[str]:
+def _stop(rig: Rig, rng: random.Random, process: str, seconds: float) -> list[str]:
     rig.send(process, signal.SIGSTOP)
     pid = rig.pids()[process]
-    time.sleep(STOPPED)
+    time.sleep(seconds)
     os.kill(pid, signal.SIGCONT)
     return []
 
@@ -127,6 +128,17 @@ def _malformed(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     return []
 
 
+def _full_disk(rig: Rig, rng: random.Random, process: str) -> list[str]:
+    """No file of the recorder may grow, then there is room again."""
+    recorder = psutil.Process(rig.pids()[process])
+    _, hard = recorder.rlimit(psutil.RLIMIT_FSIZE)
+    recorder.rlimit(psutil.RLIMIT_FSIZE, (700, hard))
+    time.sleep(STARVATION)
+    degraded = rig.system.status()["processes"][process]["state"] != "ready"
+    recorder.rlimit(psutil.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
+    return [] if degraded else [f"{process} is ready while its disk is full"]
+
+
 def _none(rig: Rig, rng: random.Random, _process: str) -> list[str]:
     time.sleep(rng.uniform(0.5, 2.0))
     return []
@@ -160,12 +172,13 @@ def events(processes: Sequence[str]) -> dict[str, Event]:
         "flood over Bifrost": Event(_flood, 1.5, process="bifrost"),
         "flood over ROS": Event(_flood, 1.5, process="ros"),
         "starved of CPU": Event(_starve, 0.5),
+        "disk full": Event(_full_disk, 0.5, process="bag_recorder"),
     }
     costly = {"comms_manager", "device_emulators"}  # the robot is on the floor afterwards
     for name in processes:
         weight = 0.2 if name in costly else 1.0
         table[f"kill {name}"] = Event(_kill, weight, "kill", name)
-        table[f"stop {name} {STOPPED:g} s"] = Event(_stop, 0.5, "stop", name)
+        table |= {f"stop {name} {each:g} s": Event(partial(_stop, seconds=each), 0.3, "stop", name) for each in STOPS}
     for first, second in PAIRS:
         table[f"kill {first} and {second}"] = Event(partial(_kill_both, other=second), 0.3, "kill", first, second)
     if "device_emulators" in processes:

@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
+
 from valor.common.errors import ConfigurationError, ValorError
 from valor.common.resources import robots
 from valor.valorctl.terminal.console import Interruption, Progress, progress, say, say_rows
@@ -50,8 +52,6 @@ def make(model: Path, name: str | None, out: Path | None, *, guess: bool, replac
 
 def _asking(shown: Progress) -> Prompt:
     def ask(question: Question) -> str:
-        import click
-
         shown.clear()
         kind = click.Choice(question.choices) if question.choices else None
         try:
