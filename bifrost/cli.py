@@ -194,10 +194,7 @@ def topic_pub(
     count: Annotated[int, typer.Option(help="Number of messages; 0: until Ctrl-C.", min=0)] = 1,
     timeout: Annotated[float, typer.Option(help="Time to wait for a node that has the type [s].", min=0.0)] = 5.0,
 ) -> None:
-    """Publish on a topic that has a publisher or subscriber, with its type.
-
-    Starts when all subscribers have connected.
-    """
+    """Publish on a topic that has a publisher or subscriber, with its type, once all subscribers have connected."""
 
     def typed_end(graph: Graph) -> End | None:
         info = graph.topics.get(name)
@@ -301,10 +298,7 @@ def _found(node: Node, kind: str, name: str, timeout: float, find: Callable[[Gra
 
 
 def _first(node: Node, subscriber: Subscriber[Message], timeout: float) -> Received[Message]:
-    """The first message.
-
-    Raises TimeoutError: no message; names the cause: no daemon, no publisher, or no publication.
-    """
+    """The first message. Raises TimeoutError with the cause: no daemon, no publisher, or no publication."""
     received = subscriber.receive(timeout=timeout)
     if received is not None:
         return received

@@ -89,10 +89,7 @@ class Client(Generic[M, R]):
         self._advance()
 
     def answer(self) -> R | None:
-        """The reply, once; None while there is none. Never blocks.
-
-        Raises Error: as ``call``; once, and the request is closed.
-        """
+        """The reply, once; None while there is none. Never blocks. Raises Error as ``call``, and closes the request."""
         self._advance()
         answer, self._answer = self._answer, None
         if isinstance(answer, Exception):

@@ -92,10 +92,7 @@ class Discovery:
         security.connect(socket, entry.endpoint, entry.key.encode() or self.network.server.public)
 
     def announce(self, entry: d.Entry, schemas: Iterable[Schema], owner: Closable | None = None) -> int:
-        """Register an entry; returns the key for ``withdraw``.
-
-        ``owner`` is closed with the node, unless it has withdrawn the entry.
-        """
+        """Register an entry; returns the key to ``withdraw`` it. Else ``owner`` is closed with the node."""
         announced = _Announced(entry, {schema.digest().hex(): schema for schema in schemas}, owner)
         with self._lock:
             self._next_key += 1

@@ -78,10 +78,7 @@ def codec(message_type: type[M]) -> Codec[M]:
 
 
 def _put_on_wire(message_type: type[Message]) -> None:
-    """Set the fields' annotations for the decoder, before it is made.
-
-    Integers have 64 signed bits; arrays are of ``WIRE_TYPES``.
-    """
+    """Set the fields' annotations for the decoder: integers of 64 signed bits, arrays of ``WIRE_TYPES``."""
     for field, annotation in field_types(message_type).items():
         message_type.__annotations__[field] = _on_wire(annotation)
 

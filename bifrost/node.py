@@ -126,19 +126,13 @@ class Node:
         return Client(self.discovery, topic, request, reply)
 
     def graph(self, timeout: float = 2.0) -> Graph:
-        """All topics and services with their nodes.
-
-        Raises TimeoutError: no reply of the daemon within ``timeout`` [s].
-        """
+        """All topics and services with their nodes. Raises TimeoutError: no reply of the daemon in ``timeout`` [s]."""
         if not self.discovery.wait_change(lambda: self.discovery.registered, timeout):
             raise TimeoutError(f"{self.discovery.daemon_silent} (waited {timeout:g} s)")
         return Graph.from_records(self.discovery.records())
 
     def close(self) -> None:
-        """Leave the network, and close all publishers, subscribers, servers and clients, which no thread may use.
-
-        May be called twice.
-        """
+        """Leave the network; close all that the node has made, which no thread may use. May be called twice."""
         with self._lock:
             if self._closed:
                 return

@@ -96,10 +96,7 @@ def _describe_type(
 
 
 def type_from_schema(schema: Schema) -> type[Message]:
-    """A message class made from a schema; it encodes and decodes like the original.
-
-    Raises SchemaError: the schema is not well formed.
-    """
+    """A message class with the encoding of a schema. Raises SchemaError: the schema is not well formed."""
     made: dict[str, type[Message]] = {}
     try:
         _make(schema, schema.name, made, ())

@@ -24,10 +24,7 @@ _OVERHEAD = 200  # of a message in memory [B]
 
 
 class Continuous:
-    """A sink that writes every message.
-
-    Raises OSError: the bag cannot be written; by the constructor, for another reason than a full disk.
-    """
+    """A sink that writes every message. Its constructor raises OSError, but not for a full disk."""
 
     def __init__(self, store: BagStore, clock: StampConverter, size: float, age: float) -> None:
         """``size`` [B] and ``age`` [s]: of a bag when the next one starts."""

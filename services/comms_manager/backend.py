@@ -38,10 +38,7 @@ class Backend(ABC):
 
     @abstractmethod
     def advance(self, commands: Commands) -> float:
-        """Advance the devices to the end of the control period, applying ``commands``.
-
-        Returns the time spent waiting [s].
-        """
+        """Apply ``commands`` and advance the devices by the control period; returns the time spent waiting [s]."""
 
     @abstractmethod
     def measure(self, sequence: int) -> Proprioceptor:

@@ -103,10 +103,7 @@ class SimulatedRobot:
         self._changed = True
 
     def advance(self, steps: int) -> None:
-        """Advance by physics steps; the plant moves only after release.
-
-        Raises SimulationDivergedError: the state is not finite.
-        """
+        """Advance by physics steps, once released. Raises SimulationDivergedError: the state is not finite."""
         self.time += steps * self.plant.step_time
         if not self.released:
             return

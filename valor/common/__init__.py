@@ -1,4 +1,1 @@
-"""What everything else stands on: messages, topics, processes, the instance, files and tables.
-
-Free of ROS: the Motion System imports it.
-"""
+"""What everything else stands on: messages, topics, processes, instances, files, tables. Never imports ROS."""

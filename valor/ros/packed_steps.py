@@ -1,7 +1,4 @@
-"""Packed footsteps: integers, each as the difference to the same foot's last step.
-
-A steady walk needs hardly more bytes than one step.
-"""
+"""Packed footsteps: integers, each as the difference to the same foot's last step, so that a steady walk is short."""
 
 import copy
 import zlib

@@ -24,10 +24,7 @@ class SimulationDivergedError(ValorError):
 
 
 def scene(robot: RobotDescription, world: str, seed: int, shapes: Shapes) -> mujoco.MjSpec:
-    """Robot and world of a seed, not compiled.
-
-    Raises ConfigurationError: unknown world, or the robot's files are invalid.
-    """
+    """Robot and world of a seed, not compiled. Raises ConfigurationError: unknown world, or invalid robot's files."""
     spec, surroundings = robot_spec(robot, shapes, passive=True), worlds.load(world, seed, worlds.size_of(robot))
     surroundings.option = spec.option
     spec.attach(surroundings, frame=spec.worldbody.add_frame(), prefix=worlds.PREFIX)

@@ -46,10 +46,7 @@ Received = tuple[int, int, can.Message]
 
 
 class CanPort:
-    """An open bus.
-
-    All methods but ``reopen`` and ``close`` raise ``can.CanError`` or ``OSError`` when the bus itself fails.
-    """
+    """An open bus. All methods but ``reopen`` and ``close`` raise ``can.CanError`` or ``OSError`` if the bus fails."""
 
     def __init__(self, open_bus: Callable[[], can.BusABC]) -> None:
         """``open_bus``: as often as needed; raises ``ConfigurationError``."""

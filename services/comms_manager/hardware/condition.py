@@ -79,10 +79,7 @@ class DeviceClock:
         self._device = self._ours = -math.inf
 
     def lateness(self, device: float, ours: float) -> float | None:
-        """Delay of data with the device's time stamp ``device``, received at ``ours`` [s].
-
-        None if it is not newer than the last.
-        """
+        """Delay of data with the device's stamp ``device``, received at ``ours`` [s]; None if it is not newer."""
         if device <= self._device:
             return None
         if math.isfinite(self._ours):

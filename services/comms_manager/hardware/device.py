@@ -207,10 +207,7 @@ class Device(ABC):
         """
 
     def enable(self) -> None:  # noqa: B027 (sensors have no motors)
-        """Switch the motors on; the joints stay where they are.
-
-        Raises DeviceError: a unit does not respond, or rejects the request.
-        """
+        """Switch the motors on; joints stay in place. Raises DeviceError: a unit is silent or rejects the request."""
 
     def part(self, unit: str) -> Part:
         """Function of a unit: the joints that its device moves, or what it measures."""

@@ -127,10 +127,7 @@ class Bag:
         return self._series[topic]
 
     def load(self, *topics: str) -> None:
-        """Read several topics in one pass.
-
-        Raises BagError: the bag lacks one of them, or has damage other than a missing end.
-        """
+        """Read several topics in one pass. Raises BagError: one is missing, or the damage is not just a missing end."""
         wanted = [topic for topic in topics if topic not in self._series]
         if not wanted:
             return

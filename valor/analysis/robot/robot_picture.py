@@ -29,10 +29,7 @@ _WHOLE_TURN = 2 * np.pi  # drawn range of a joint without limits [rad]
 
 
 def draw(robot: RobotDescription, file: Path) -> Path:
-    """Write the page as a PNG; returns its path.
-
-    Raises RenderingError (no off-screen OpenGL) or ValorError (the file cannot be written).
-    """
+    """Write the page as a PNG; returns its path. Raises RenderingError (no OpenGL) or ValorError (no file)."""
     model = full_model(robot, "all")
     data = mujoco.MjData(model.mj)
     data.qpos[:] = model.nominal_qpos()

@@ -72,10 +72,7 @@ def size_of(robot: RobotDescription) -> float:
 
 
 def heights(name: str, seed: int, x: FloatArray, y: FloatArray, size: float = 1.0) -> FloatArray:
-    """(ny, nx) height of the ground at x (nx,) and y (ny,) [m], for pictures and experiments.
-
-    Raises ConfigurationError: unknown world.
-    """
+    """(ny, nx) height of the ground at x (nx,) and y (ny,) [m]. Raises ConfigurationError: unknown world."""
     model = load(name, seed, size).compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -144,10 +144,7 @@ _TONES = (0.52, 0.70)  # range of grey of the boxes
 
 @dataclass(frozen=True)
 class Rubble(World):
-    """Field of boxes with random heights and orientations, on average one per ``spacing``.
-
-    The boxes lie on the floor and may overlap.
-    """
+    """Field of boxes, on average one per ``spacing``, with random heights and orientations; they may overlap."""
 
     highest: float  # of a box [m]
     start: float  # x at which the patch begins [m]
