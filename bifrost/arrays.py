@@ -29,11 +29,7 @@ def _array(wire_type: Any, value: Any, _view: Callable[..., Any] = np.frombuffer
 
 
 def decoder(message_type: type[S]) -> msgspec.msgpack.Decoder[S]:
-    """A decoder that raises ``ValueError`` or ``msgspec.DecodeError`` unless a message is exactly of this type.
-
-    Args:
-        message_type: with array fields of ``WIRE_TYPES``.
-    """
+    """A decoder that raises ``ValueError`` or ``msgspec.DecodeError`` unless a message is exactly of this type."""
     return msgspec.msgpack.Decoder(message_type, dec_hook=_array)
 
 

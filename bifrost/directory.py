@@ -50,10 +50,8 @@ class NodeRecord(msgspec.Struct, frozen=True):
     def sifted(self, grants: Grants, proven: str | None = None) -> tuple[NodeRecord, list[str]]:
         """The record without entries that its node may not have, and the reasons.
 
-        Args:
-            grants: of the network.
-            proven: owner that its connection has proven; None: unknown, and the announced keys count. Nodes detect
-                false keys when they connect.
+        ``proven``: owner that its connection has proven; None: unknown, and the announced keys count. Nodes detect
+        false keys when they connect.
         """
         if not grants.owners:
             return self, []

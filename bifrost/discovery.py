@@ -112,10 +112,7 @@ class Discovery:
     def watch(self, kind: d.Kind, topic: str, notify: Callable[[], None] | None = None) -> Watch:
         """Watch a topic's publishers or servers.
 
-        Args:
-            kind: publisher or server.
-            topic: its name.
-            notify: called after a change, with the lock held; default: wake the topic's subscribers.
+        ``notify`` is called after a change, with the lock held; by default it wakes the topic's subscribers.
         """
         watch = Watch(kind, topic, notify or (lambda: self.wakes.add(topic)))
         with self._lock:

@@ -55,11 +55,7 @@ class Grants:
     def refusal(self, who: str, kind: str, topic: str, proven: str) -> str:
         """Reason why a node may not have a publisher or server; empty: it may.
 
-        Args:
-            who: claimed name of the node.
-            kind: of the entry.
-            topic: its name.
-            proven: proven owner, or ``MEMBER``.
+        ``who``: its claimed name; ``kind``, ``topic``: of the entry; ``proven``: proven owner, or ``MEMBER``.
         """
         owners = {"publisher": self.publishers, "server": self.servers}.get(kind, {}).get(topic)
         if owners is None or proven in owners:

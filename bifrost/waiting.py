@@ -97,11 +97,7 @@ class Poller(Generic[L]):
         self._all: list[L] | None = list(items)  # their events may have been consumed before
 
     def look(self, timeout: float = 0.0) -> list[L]:
-        """Items that may have messages; all, on the first call.
-
-        Args:
-            timeout: time to wait for the first of them [s]; zero: do not wait.
-        """
+        """Items that may have messages, after at most ``timeout`` [s] without one; all, on the first call."""
         if self._all is not None:
             everything, self._all = self._all, None
             return everything

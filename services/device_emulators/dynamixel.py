@@ -189,7 +189,7 @@ class DynamixelBus:
         return [
             status
             for frame in self._frames.feed(data)
-            for status in self._process(frame[4], unstuffed(frame[PREFIX:-2]))
+            for status in self._process(frame[4], frame[PREFIX:-2].replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"))
         ]
 
     def _process(self, target: int, body: bytes) -> list[Status]:
@@ -241,10 +241,6 @@ def encode(servo: int, instruction: int, parameters: bytes) -> bytes:
 
 def stuffed(body: bytes) -> bytes:
     return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-
-
-def unstuffed(body: bytes) -> bytes:
-    return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
 
 
 def _size(prefix: bytearray) -> int:
@@ -318,15 +314,13 @@ class DynamixelEmulator(Emulator):
                 self._measure(each, now, robot)
             self._bus.servos = {each.table.id: each.servo for each in self._servos if not each.dead}
             names = {each.table.id: each.name for each in self._servos}
+            adapter_fails = any(self.faults.active(ADAPTER, fault, now) for fault in EmulatedFault)
             for status in self._bus.receive(received):
-                unit = ADAPTER if self._faulty(ADAPTER, now) else names[status.servo]
+                unit = ADAPTER if adapter_fails else names[status.servo]
                 self._line.send(unit, status.frame, now)
             for each in self._servos:
                 self._drive(each, robot)
         self._line.flush(now)
-
-    def _faulty(self, unit: str, now: float) -> bool:
-        return any(self.faults.active(unit, fault, now) for fault in EmulatedFault)
 
     def _has(self, each: _JointServo, fault: EmulatedFault, now: float) -> bool:
         return self.faults.active(each.name, fault, now) or self.faults.active(ADAPTER, fault, now)

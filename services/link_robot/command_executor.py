@@ -19,15 +19,7 @@ from valor.link_robot.observer import Observer
 from valor.robot.description import RobotDescription
 from valor.ros import packed_steps, progress
 from valor.ros.limbs import HANDS
-from valor.ros.link_messages import (
-    ACTIONS,
-    COMMANDS,
-    MODE,
-    LinkMessageType,
-    MessageCodec,
-    pack_message,
-    unpack_message,
-)
+from valor.ros.link_messages import ACTIONS, COMMANDS, MODE, LinkMessageType, MessageCodec, pack_message, unpack_message
 
 LATEST = QoSProfile(depth=1)  # volatile: a subscriber that joins later receives no old command
 PERIOD = 0.1  # of checks [s]

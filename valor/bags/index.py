@@ -33,12 +33,8 @@ class BagIndex:
 def read_index(bag: Path) -> BagIndex | None:
     """Read the index of a bag without its chunks, in a time that does not depend on the bag's size.
 
-    Returns:
-        None if the bag is finished but has no index.
-
-    Raises:
-        BagError: the file is not MCAP, is truncated or damaged.
-        OSError: the file cannot be read.
+    None if the bag is finished but has no index. Raises BagError: the file is not MCAP, is truncated or damaged;
+    OSError: it cannot be read.
     """
     try:
         with open(bag, "rb") as file:

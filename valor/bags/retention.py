@@ -126,13 +126,9 @@ def too_many(bags: Path, bounds: Bounds, floor: int | None = None, now: float | 
 
 
 def prune(bags: Path, bounds: Bounds, floor: int | None = None, now: float | None = None) -> list[Surplus]:
-    """Remove the surplus pieces of a folder, also while recorders or other calls use the folder.
+    """Remove and return the surplus pieces of a folder, also while recorders or other calls use the folder.
 
-    Returns:
-        The pieces removed.
-
-    Raises:
-        OSError: the folder cannot be written.
+    Raises OSError: the folder cannot be written.
     """
     with changing(bags):
         return [each for each in too_many(bags, bounds, floor, now) if _remove(each.piece)]

@@ -53,14 +53,7 @@ class Condition:
 
 
 class StoredBag:
-    """A bag, opened for reading.
-
-    Attributes:
-        condition: complete after the last message.
-
-    Raises:
-        BagError: by the constructor: the path has no bag.
-    """
+    """A bag, opened for reading. Raises BagError: the path has no bag. ``condition``: after the last message."""
 
     def __init__(self, path: Path) -> None:
         self.path = path  # the file, or the folder of files

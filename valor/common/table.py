@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, dataclass_transform, get_args, get_origin
@@ -75,13 +75,19 @@ def plain(table: Table) -> dict[str, Any]:
     return content
 
 
-def read(kind: type[T], file: Path) -> T:
-    """Read a table from a YAML file. Raises ConfigurationError: a line for each fault, with file, line and key."""
+def read(kind: type[T], file: Path, violations: Callable[[T], Iterable[TableError]] = lambda _: ()) -> T:
+    """Read a table from a YAML file. Raises ConfigurationError: a line for each fault, with file, line and key.
+
+    ``violations``: of a valid table; the first one is raised.
+    """
     from valor.common.document import Document  # imports the YAML reader, which tables of JSON do not need
 
     document = Document.load(file)
     SeveralFaultsError.require_none(document.error(each.path, each.what) for each in faults(kind, document.content))
-    return checked(kind, document.content)
+    table = checked(kind, document.content)
+    for broken in violations(table):
+        raise document.error(broken.path, broken.what)
+    return table
 
 
 def faults(kind: Any, content: object, path: tuple[str, ...] = ()) -> list[TableError]:

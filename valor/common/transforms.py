@@ -83,11 +83,8 @@ class TransformBuffer:
     def lookup(self, target: str, source: str, time: int = 0) -> Pose:
         """The pose of the frame ``source`` in the frame ``target``.
 
-        ``time``: [ns]; 0: the latest that all transforms between the frames have.
-
-        Raises:
-            TooNewError: no transform of that time has arrived yet.
-            TransformError: unknown or unconnected frames, or a time before the stored history.
+        ``time``: [ns]; 0: the latest that all transforms between the frames have. Raises TooNewError: not received yet;
+        TransformError: unknown or unconnected frames, or a time before the stored history.
         """
         target, source = target.lstrip("/"), source.lstrip("/")
         known = {edge.parent for edge in self._edges.values()} | self._edges.keys()

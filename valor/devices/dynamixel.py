@@ -70,18 +70,9 @@ X_SERIES = ControlTable(
 
 P_SERIES = ControlTable(
     size=595,
-    torque_enable=Item(512, 1),
-    hardware_error=Item(518, 1),
-    goal_velocity=Item(552, 4, signed=True),
-    goal_position=Item(564, 4, signed=True),
-    realtime_tick=Item(568, 2),
-    present_effort=Item(574, 2, signed=True),
-    present_velocity=Item(576, 4, signed=True),
-    present_position=Item(580, 4, signed=True),
-    present_voltage=Item(592, 2),
-    present_temperature=Item(594, 1),
+    **{key: each._replace(address=448 + each.address) for key, each in vars(X_SERIES).items() if key != "size"},
 )
-"""DYNAMIXEL-P, the successors of the PRO series that moved THOR's arms."""
+"""DYNAMIXEL-P, the successors of the PRO series that moved THOR's arms: the same items at higher addresses."""
 
 
 class OperatingMode(IntEnum):

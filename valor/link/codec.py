@@ -175,12 +175,9 @@ class Codec:
         return values
 
     def encode(self, frame: Frame, reference: Frame | None = None, distance: int = 0) -> bytes:
-        """Encode a frame.
+        """Encode a frame of ``quantise``, relative to a reference that the receiver has; None: absolute.
 
-        Args:
-            frame: of ``quantise``.
-            reference: frame that the receiver has; None: absolute.
-            distance: of the reference, in frames, 1 to 511.
+        ``distance``: of the reference, in frames, 1 to 511.
         """
         symbols: list[Symbol] = [(DISTANCE, distance if reference else 0)]
         if reference is None:
@@ -213,15 +210,7 @@ class Codec:
         return Unpacker(data).take(DISTANCE)
 
     def decode(self, data: bytes, reference: Frame | None = None) -> Frame:
-        """Inverse of ``encode``.
-
-        Args:
-            data: of one frame.
-            reference: at ``distance``.
-
-        Raises:
-            CodecError: malformed, or the reference is missing.
-        """
+        """Inverse of ``encode``; ``reference``: at ``distance``. Raises CodecError: malformed, or it is missing."""
         unpacker = Unpacker(data)
         if unpacker.take(DISTANCE) == 0:
             levels = np.array([unpacker.take(each) for each in self._uniform], dtype=np.int64)

@@ -122,8 +122,7 @@ class Layout:
 def smallest_three(quaternion: Any) -> tuple[FloatArray, int]:
     """(3,) components in order without the largest, and its index; the sign makes the largest positive.
 
-    Args:
-        quaternion: (4,) w, x, y, z, of any norm; zero or not finite: counts as the identity.
+    ``quaternion``: (4,) w, x, y, z, of any norm; zero or not finite: counts as the identity.
     """
     q = np.asarray(quaternion, dtype=float)
     norm = float(np.linalg.norm(q))

@@ -22,15 +22,9 @@ class UdpTransport:
     """Receives datagrams for an endpoint and sends those due. For one thread."""
 
     def __init__(self, end: LinkEndpoint, *, own: Sequence[Address] = (), other: Sequence[Address] = ()) -> None:
-        """Open a socket for each channel, slow and fast.
+        """Open a socket for each channel, slow and fast. Raises ConfigurationError: a port is in use.
 
-        Args:
-            end: of the link.
-            own: addresses to bind; none: any.
-            other: addresses of the other end; none: those from which it sends.
-
-        Raises:
-            ConfigurationError: a port is in use.
+        ``own``: addresses to bind, any by default; ``other``: of the other end, by default those from which it sends.
         """
         self._end = end
         self._selector = selectors.DefaultSelector()

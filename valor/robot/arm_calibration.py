@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +13,6 @@ import yaml
 from msgspec import Meta
 
 from valor.common import whole_file
-from valor.common.document import Document
 from valor.common.errors import ConfigurationError
 from valor.common.table import NonNegative, Table, TableError, plain, read
 from valor.robot.description import RobotDescription
@@ -94,12 +94,7 @@ def fingerprint(robot: RobotDescription) -> str:
 def load(robot: RobotDescription) -> ArmCalibrations | None:
     """Return a robot's calibration, or None. Raises ConfigurationError if it is invalid or of another robot."""
     file = robot.folder / FILE
-    if not file.is_file():
-        return None
-    table = read(ArmCalibrations, file)
-    for broken in _violations(robot, table):
-        raise Document.load(file).error(broken.path, broken.what)
-    return table
+    return read(ArmCalibrations, file, partial(_violations, robot)) if file.is_file() else None
 
 
 def joined(robot: RobotDescription, arms: dict[str, ArmCalibration]) -> ArmCalibrations:

@@ -1,6 +1,7 @@
 """``get_up.yaml``: the key poses of Get Up. Generated offline by ``valor.get_up_planning``."""
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Annotated
 
 from msgspec import Meta
@@ -52,14 +53,7 @@ class GetUpTable(Table):
 def load(robot: RobotDescription) -> GetUpTable | None:
     """Return a robot's table, or None if it cannot get up. Raises ConfigurationError with file, line and key."""
     file = robot.folder / FILE
-    if not file.is_file():
-        return None
-    table = read(GetUpTable, file)
-    for broken in _violations(robot, table):
-        from valor.common.document import Document
-
-        raise Document.load(file).error(broken.path, broken.what)
-    return table
+    return read(GetUpTable, file, partial(_violations, robot)) if file.is_file() else None
 
 
 def _violations(robot: RobotDescription, table: GetUpTable) -> Iterator[TableError]:

@@ -27,13 +27,9 @@ class UnknownTypeError(Exception):
 
 
 def definition(type_name: str) -> str:
-    """Definition of a type with its dependencies, in the form of MCAP's ``ros2msg``.
+    """Definition of a type, as ``sensor_msgs/msg/JointState``, and its dependencies, in MCAP's form ``ros2msg``.
 
-    Args:
-        type_name: as ``sensor_msgs/msg/JointState``.
-
-    Raises:
-        UnknownTypeError: the type, or one that it contains, is not installed.
+    Raises UnknownTypeError: the type, or one that it contains, is not installed.
     """
     text = _read(type_name)
     parts, seen = [text], {type_name}

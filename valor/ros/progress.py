@@ -48,15 +48,9 @@ def pack_feedback(message: Any, steps: bytes) -> bytes:
 
 
 def unpack_feedback(data: bytes, stored: dict[int, list[Step]], frame: str) -> Any:
-    """``FeedbackMessage`` without the goal's id.
+    """Inverse of ``pack_feedback``: ``FeedbackMessage`` without the goal's id. Raises SealError: malformed.
 
-    Args:
-        data: of ``pack_feedback``.
-        stored: received steps by their checksum.
-        frame: tf frame odom.
-
-    Raises:
-        SealError: malformed.
+    ``stored``: received steps by their checksum; ``frame``: tf frame odom.
     """
     try:
         plan, stamp = _PLAN.unpack_from(data)

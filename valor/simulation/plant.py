@@ -93,12 +93,9 @@ class Plant:
             raise SimulationDivergedError(f"the simulation diverged at {data.time:.3f} s")
 
     def push(self, impulse: FloatArray, duration: float, body: str = "") -> None:
-        """Push a body at its CoM with a constant force, from the next step on.
+        """Push a body of the robot, the chest if empty, at its CoM with a constant force, from the next step on.
 
-        Args:
-            impulse: (3,) in world [N·s].
-            duration: rounded to physics steps, at least one [s].
-            body: of the robot's model; empty: the chest.
+        ``impulse``: (3,) in world [N·s]; ``duration``: rounded to physics steps, at least one [s].
         """
         self.data.xfrc_applied[self._pushed_body] = 0.0
         self._pushed_body = self.model.body(body) if body else self._chest

@@ -13,14 +13,7 @@ import numpy as np
 
 from valor.common.messages import JointMode
 from valor.comms_manager.hardware.condition import require_identity
-from valor.comms_manager.hardware.device import (
-    Device,
-    DeviceContext,
-    DeviceError,
-    Fault,
-    JointMeasurement,
-    UnitFault,
-)
+from valor.comms_manager.hardware.device import Device, DeviceContext, DeviceError, Fault, JointMeasurement, UnitFault
 from valor.comms_manager.hardware.dynamixel_port import DynamixelError, DynamixelPort, StatusReader
 from valor.comms_manager.hardware.dynamixel_servo import Servo
 from valor.devices.dynamixel import MODELS, ControlTable, Dynamixel, HardwareError, Item, OperatingMode

@@ -15,16 +15,7 @@ from valor.comms_manager.hardware.condition import Condition, Limits, require_id
 from valor.comms_manager.hardware.device import DeviceContext, DeviceError, Fault, ImuMeasurement, UnitFault
 from valor.comms_manager.hardware.serial_sensor import ANSWER_TIME, NoAnswerError, SerialSensor
 from valor.devices.frame_stream import FrameStream
-from valor.devices.kvh import (
-    CRC_SIZE,
-    HEADER,
-    MESSAGE,
-    SEQUENCES,
-    STANDARD_GRAVITY,
-    VALID,
-    WARMEST,
-    Kvh1750,
-)
+from valor.devices.kvh import CRC_SIZE, HEADER, MESSAGE, SEQUENCES, STANDARD_GRAVITY, VALID, WARMEST, Kvh1750
 
 FASTEST, STRONGEST = 20.0, 200.0  # above its range of 490 °/s and 10 g [rad/s, m/s²]
 WARM = 5.0  # below its temperature limit [K]

@@ -252,7 +252,7 @@ def com_is_over_the_soles(stance: Stance) -> Iterator[TableError]:
 def size_matches_the_model(stance: Stance) -> Iterator[TableError]:
     """Check ``size``, by which defaults scale, against the model's straight leg and mass."""
     size = stance.robot.tables.size
-    leg = sum(stance.leg_length(side) for side in SIDES) / len(SIDES)
+    leg = stance.mean_leg_length
     mass = stance.weight / -stance.model.mj.opt.gravity[2]
     for key, found, wanted in (("leg", size.leg, leg), ("mass", size.mass, mass)):
         if abs(found / wanted - 1) > SIZE_TOLERANCE:

@@ -9,7 +9,6 @@ from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.robot.checks.model_file import model_fault
 from valor.robot.checks.stance import Stance
-from valor.robot.tables import SIDES
 
 OUTSIDE = 0.25  # largest distance of a CoM outside its body's joints and geoms, relative to the straight leg
 DENSEST = 2e4  # tungsten's density [kg/m³]
@@ -24,7 +23,7 @@ FRICTION = (0.1, 5.0)  # sliding, of geoms that collide
 def masses_fit_their_bodies(stance: Stance) -> Iterator[ConfigurationError]:
     """Check that the CoM of each body is near its joints and geoms; bodies without joints belong to their parents."""
     mj, data = stance.model.mj, stance.data
-    margin = OUTSIDE * _leg(stance)
+    margin = OUTSIDE * stance.mean_leg_length
     for root in np.unique(mj.body_weldid[1:]):
         bodies = np.flatnonzero((mj.body_weldid == root) & (mj.body_mass > 0.0))
         if not root or not len(bodies):
@@ -40,7 +39,7 @@ def masses_fit_their_bodies(stance: Stance) -> Iterator[ConfigurationError]:
 
 def inertias_fit_the_masses(stance: Stance) -> Iterator[ConfigurationError]:
     """Check the inertias about the CoM, summed over the axes, against balls of tungsten and the robot's size."""
-    mj, leg = stance.model.mj, _leg(stance)
+    mj, leg = stance.model.mj, stance.mean_leg_length
     mass, inertia = mj.body_mass, mj.body_inertia.sum(axis=1)
     least = POINT * 1.2 * mass * (3.0 * mass / (4.0 * np.pi * DENSEST)) ** (2 / 3)
     most = np.maximum(2.0 * mass * leg**2, SMALL * mass.sum() * leg**2)
@@ -51,10 +50,6 @@ def inertias_fit_the_masses(stance: Stance) -> Iterator[ConfigurationError]:
         what = f"inertia: got {inertia[body]:.3g} kg·m² in all for {mass[body]:.3g} kg"
         bounds = f"expected {least[body]:.2g} to {most[body]:.2g}"
         yield model_fault(stance.robot, "body", mj.body(body).name, f"{what}; {bounds}")
-
-
-def _leg(stance: Stance) -> float:
-    return sum(stance.leg_length(side) for side in SIDES) / len(SIDES)
 
 
 def _extent(mj: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[FloatArray, FloatArray]:
@@ -84,7 +79,7 @@ def friction_is_plausible(stance: Stance) -> Iterator[ConfigurationError]:
 
 def geoms_are_plausible(stance: Stance) -> Iterator[ConfigurationError]:
     """Check size, margin and contact parameters of geoms that collide."""
-    mj, leg = stance.model.mj, _leg(stance)
+    mj, leg = stance.model.mj, stance.mean_leg_length
     for geom in range(mj.ngeom):
         body = int(mj.geom_bodyid[geom])
         radius, margin = float(mj.geom_rbound[geom]), float(mj.geom_margin[geom])

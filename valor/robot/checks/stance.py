@@ -11,7 +11,7 @@ from valor.robot import soles
 from valor.robot.description import RobotDescription
 from valor.robot.legs import pitch_joints
 from valor.robot.model import Model, full_model
-from valor.robot.tables import Foot
+from valor.robot.tables import SIDES, Foot
 
 
 class Stance:
@@ -67,6 +67,11 @@ class Stance:
         """Return the length of the straight leg from hip to ankle [m]."""
         anchors = [self.data.joint(name).xanchor for name in self.pitch_joints(side)]
         return float(sum(np.linalg.norm(b - a) for a, b in pairwise(anchors)))
+
+    @property
+    def mean_leg_length(self) -> float:
+        """Mean length of the straight legs [m]."""
+        return sum(self.leg_length(side) for side in SIDES) / len(SIDES)
 
     def outline(self, side: str) -> soles.Points:
         """Return the corners of a sole seen from above."""

@@ -206,11 +206,6 @@ def _course_request(context: Context) -> WalkRequest:
     return WalkRequest(forward=forward, distance=distance, straight=True)
 
 
-def require_course(context: Context) -> None:
-    """Require a valid speed and distance."""
-    _course_request(context)
-
-
 def walk_the_course(context: Context) -> None:
     """Walk the requested distance; to the finish line by default."""
     context.walk(_course_request(context))
@@ -304,7 +299,7 @@ DEMOS = {  # by the names of their instances
     "demo-walk": Demo(
         world=WORLD,
         files=("walk.mcap", "walk.json"),
-        check=require_course,
+        check=_course_request,
         steps=(walk_the_course,),
         pictures=course_pictures,
     ),

@@ -63,7 +63,7 @@ class Context:
         self.progress.done(f"walked {walked.describe()}")
 
 
-Step = Callable[[Context], None]
+Step = Callable[[Context], object]
 Picture = tuple[str, Callable[[], list[Path]]]  # what is drawn, and the function that returns the files
 
 

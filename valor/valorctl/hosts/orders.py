@@ -26,14 +26,7 @@ from valor.common.resources import robot_folder
 from valor.common.table import checked
 from valor.valorctl.hosts import logs
 from valor.valorctl.hosts.remote import Greeting, Order, Reply
-from valor.valorctl.instance import (
-    instance_setup,
-    ros_domain,
-    shutdown,
-    startup,
-    supervision,
-    supervisor_config,
-)
+from valor.valorctl.instance import instance_setup, ros_domain, shutdown, startup, supervision, supervisor_config
 from valor.valorctl.instance.supervision import Supervisor
 from valor.valorctl.status.health import Listener
 from valor.valorctl.terminal.console import Interruption, progress

@@ -19,16 +19,7 @@ from valor.common import mode_names, topics, whole_file
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
 from valor.common.instance import Bounds, ClockMode, Instance, Link, Recording, RosCommands, Settings, ros_namespace
-from valor.common.processes import (
-    BY_NAME,
-    CAMERA,
-    FOXGLOVE,
-    HEAD_CAMERA,
-    LINK,
-    PROCESSES,
-    RECORDER,
-    VIEW,
-)
+from valor.common.processes import BY_NAME, CAMERA, FOXGLOVE, HEAD_CAMERA, LINK, PROCESSES, RECORDER, VIEW
 from valor.common.resources import file_of, robot_folder
 from valor.robot.description import RobotDescription
 from valor.simulation.world_names import WORLD_NAMES

@@ -15,13 +15,7 @@ from valor.common.mode_names import PREPARING
 from valor.common.processes import BY_NAME, Process
 from valor.valorctl.drive import control_mode
 from valor.valorctl.drive.getting_up import BY_HAND, simulated
-from valor.valorctl.instance import (
-    instance_setup,
-    ros_domain,
-    shutdown,
-    supervision,
-    supervisor_config,
-)
+from valor.valorctl.instance import instance_setup, ros_domain, shutdown, supervision, supervisor_config
 from valor.valorctl.instance.running import require_up
 from valor.valorctl.instance.supervision import ProcessInfo, ProcessState, Supervisor
 from valor.valorctl.status.health import Health, Listener, judge
