@@ -25,3 +25,9 @@ def wait_until(condition: Callable[[], T | None], timeout: float, what: str, per
         if time.monotonic() > deadline:
             raise AssertionError(f"not within {timeout:g} s: {what}")
         time.sleep(period)
+
+
+def some(value: T | None) -> T:
+    """The value, which is there."""
+    assert value is not None
+    return value

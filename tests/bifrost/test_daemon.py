@@ -25,8 +25,7 @@ def test_recall_finds_the_nodes_of_the_last_daemon(own_net: BifrostNetwork) -> N
     speaker = own_net.peer("publish", "lab/sample", "100")
     node = own_net.node("test")
     until(lambda: left_on_disk(own_net) == {"serve_peer", "publish_peer", "test"}, "all are on disk")
-    assert own_net.network.table_cache is not None
-    assert own_net.network.table_cache.stat().st_mode & 0o777 == 0o600
+    assert own_net.network.table_cache is not None and own_net.network.table_cache.stat().st_mode & 0o777 == 0o600
     node.close()
     until(lambda: "test" not in left_on_disk(own_net), "who has left is not")
     own_net.kill_daemon()
@@ -75,8 +74,7 @@ def test_a_restarted_daemon_with_an_empty_table_ends_no_connection(own_net: Bifr
 
 def test_the_daemon_reports_its_status(own_net: BifrostNetwork) -> None:
     info = bifrost.daemon_alive(own_net.network, timeout=5.0)
-    assert info is not None
-    assert info.pid == own_net.daemon.pid
+    assert info is not None and info.pid == own_net.daemon.pid
     assert info.uptime > 0.0
     assert 1.0 < info.memory_mib < 200.0
     own_net.kill_daemon()

@@ -9,7 +9,7 @@ import bifrost
 from bifrost.limits import Limit, Meter
 from harness.bifrost_network import Answer, BifrostNetwork, Question, Sample, connected, going_on, sample, until
 from harness.examples import examples
-from harness.waiting import PATIENCE
+from harness.waiting import PATIENCE, some
 
 LIMIT = Limit(rate=500.0, burst=100)
 
@@ -75,8 +75,7 @@ def test_a_flooding_client_is_named_and_muted_and_others_are_answered(net: Bifro
     with going_on(lambda: counts.append(server.serve(most=5))):
         assert other.call(question, PATIENCE).text == "other"
         assert flooder.call(question, PATIENCE).text == "flooder"
-        socket = flooder._socket
-        assert socket is not None
+        socket = some(flooder._socket)
         frame = flooder._frame(flooder._request.encode(question), time.monotonic() + PATIENCE, flooder._watch.peers[-1])
         for _ in range(100):
             socket.send(frame)

@@ -11,7 +11,7 @@ import bifrost
 from bifrost import directory, wire
 from bifrost.directory import Entry, NodeRecord
 from harness.bifrost_network import Answer, BifrostNetwork, Question, Sample, sample, until
-from harness.waiting import PATIENCE
+from harness.waiting import PATIENCE, some
 
 
 class Rogue:
@@ -105,8 +105,7 @@ def test_invalid_frames_are_rejected_and_counted(net: BifrostNetwork, rogue: Rog
     rogue.say(4)
     counts: list[int] = []
     while not counts or counts[-1] != 4:
-        received = subscriber.receive(timeout=60.0)
-        assert received is not None
+        received = some(subscriber.receive(timeout=60.0))
         counts.append(received.message.count)
     assert counts == [4]
     assert subscriber.rejected - refused >= len(nonsense)

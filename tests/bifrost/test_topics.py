@@ -14,6 +14,7 @@ import pytest
 
 import bifrost
 from harness.bifrost_network import BifrostNetwork, Peer, Sample, connected, sample, sequences, until
+from harness.waiting import some
 
 pytestmark = pytest.mark.portable
 
@@ -78,8 +79,7 @@ def test_a_killed_publisher_is_replaced_without_a_gap(net: BifrostNetwork) -> No
     net.peer("publish", "lab/sample", "200")
 
     def of_the_new_one() -> bool:
-        again = subscriber.receive(timeout=60.0)
-        assert again is not None
+        again = some(subscriber.receive(timeout=60.0))
         return again.stamp > killed
 
     until(of_the_new_one, "a message of the one that came after")
@@ -161,8 +161,7 @@ def test_latched_messages_are_neither_doubled_nor_disordered_by_coming_and_going
         subscriber.close()
     # A connection that breaks and is made again brings nothing twice.
     subscriber = node.subscriber("lab/sample", Sample, queue=1000)
-    first = subscriber.receive(timeout=60.0)
-    assert first is not None
+    first = some(subscriber.receive(timeout=60.0))
     peer.signal(signal.SIGSTOP)
     while subscriber.receive(timeout=0.5):
         pass

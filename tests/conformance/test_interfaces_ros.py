@@ -1,6 +1,8 @@
 """The compiled packages interoperate: names, fields and constants are the public ones, and rclpy carries them."""
 
+import importlib
 import os
+import re
 import subprocess
 import sys
 import textwrap
@@ -10,155 +12,118 @@ from typing import Any
 import pytest
 import rclpy
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import JointComponentTolerance, JointTolerance, JointTrajectoryControllerState
-from control_msgs.srv import QueryTrajectoryState
-from controller_manager_msgs.msg import ChainConnection, ControllerState, HardwareComponentState, HardwareInterface
-from controller_manager_msgs.srv import (
-    ListControllers,
-    ListControllerTypes,
-    ListHardwareComponents,
-    ListHardwareInterfaces,
-    SetHardwareComponentState,
-    SwitchController,
-)
+from control_msgs.msg import JointTolerance
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from tf2_msgs.action import LookupTransform
-from tf2_msgs.msg import TF2Error, TFMessage
 from trajectory_msgs.msg import JointTrajectoryPoint
-from vigir_footstep_planning_msgs.action import ExecuteStepPlan
-from vigir_footstep_planning_msgs.msg import (
-    ErrorStatus,
-    Feet,
-    Foot,
-    FootstepExecutionStatus,
-    Step,
-    StepPlan,
-    StepPlanFeedback,
-)
-from vigir_humanoid_control_msgs.action import ChangeControlMode
-from vigir_humanoid_control_msgs.msg import ControlModeStatus, VigirControlModeCommand
 
 from valor.common.resources import middleware_profile
 
-POINT, MULTI = "trajectory_msgs/JointTrajectoryPoint", "trajectory_msgs/MultiDOFJointTrajectoryPoint"
-TOLERANCES = {"position": "double", "velocity": "double", "acceleration": "double"}
-MANAGER = "controller_manager_msgs"
-HEADER = {"header": "std_msgs/Header"}
-VIGIR = "vigir_footstep_planning_msgs"
-FIELDS = {
-    FollowJointTrajectory.Goal: {
-        "trajectory": "trajectory_msgs/JointTrajectory",
-        "multi_dof_trajectory": "trajectory_msgs/MultiDOFJointTrajectory",
-        "path_tolerance": "sequence<control_msgs/JointTolerance>",
-        "component_path_tolerance": "sequence<control_msgs/JointComponentTolerance>",
-        "goal_tolerance": "sequence<control_msgs/JointTolerance>",
-        "component_goal_tolerance": "sequence<control_msgs/JointComponentTolerance>",
-        "goal_time_tolerance": "builtin_interfaces/Duration",
-    },
-    FollowJointTrajectory.Result: {"error_code": "int32", "error_string": "string"},
-    FollowJointTrajectory.Feedback: HEADER
-    | {"joint_names": "sequence<string>", "desired": POINT, "actual": POINT, "error": POINT}
-    | {"multi_dof_joint_names": "sequence<string>"}
-    | {"multi_dof_desired": MULTI, "multi_dof_actual": MULTI, "multi_dof_error": MULTI},
-    JointTolerance: {"name": "string"} | TOLERANCES,
-    JointComponentTolerance: {"joint_name": "string", "component": "uint16"} | TOLERANCES,
-    JointTrajectoryControllerState: HEADER
-    | {"joint_names": "sequence<string>"}
-    | dict.fromkeys(("reference", "feedback", "error", "output"), POINT)
-    | {"multi_dof_joint_names": "sequence<string>"}
-    | dict.fromkeys(("multi_dof_reference", "multi_dof_feedback", "multi_dof_error", "multi_dof_output"), MULTI)
-    | {"speed_scaling_factor": "double"},
-    QueryTrajectoryState.Request: {"time": "builtin_interfaces/Time"},
-    QueryTrajectoryState.Response: {"success": "boolean", "message": "string", "name": "sequence<string>"}
-    | dict.fromkeys(("position", "velocity", "acceleration"), "sequence<double>"),
-    ChainConnection: {"name": "string", "reference_interfaces": "sequence<string>"},
-    ControllerState: {"name": "string", "state": "string", "type": "string", "is_async": "boolean"}
-    | {"update_rate": "uint16"}
-    | dict.fromkeys(
-        ("claimed_interfaces", "required_command_interfaces", "required_state_interfaces"), "sequence<string>"
-    )
-    | {"is_chainable": "boolean", "is_chained": "boolean"}
-    | dict.fromkeys(("exported_state_interfaces", "reference_interfaces"), "sequence<string>")
-    | {"chain_connections": f"sequence<{MANAGER}/ChainConnection>"},
-    HardwareInterface: {"name": "string", "data_type": "string", "is_available": "boolean", "is_claimed": "boolean"},
-    HardwareComponentState: {"name": "string", "type": "string", "is_async": "boolean", "rw_rate": "uint16"}
-    | {"class_type": "string", "plugin_name": "string", "state": "lifecycle_msgs/State"}
-    | dict.fromkeys(("command_interfaces", "state_interfaces"), f"sequence<{MANAGER}/HardwareInterface>"),
-    SwitchController.Request: dict.fromkeys(("activate_controllers", "deactivate_controllers"), "sequence<string>")
-    | {"strictness": "int32", "activate_asap": "boolean", "timeout": "builtin_interfaces/Duration"},
-    SwitchController.Response: {"ok": "boolean", "message": "string"},
-    ListControllers.Response: {"controller": f"sequence<{MANAGER}/ControllerState>"},
-    ListControllerTypes.Response: dict.fromkeys(("types", "base_classes"), "sequence<string>"),
-    ListHardwareComponents.Response: {"component": f"sequence<{MANAGER}/HardwareComponentState>"},
-    ListHardwareInterfaces.Response: dict.fromkeys(
-        ("command_interfaces", "state_interfaces"), f"sequence<{MANAGER}/HardwareInterface>"
-    ),
-    SetHardwareComponentState.Request: {"name": "string", "target_state": "lifecycle_msgs/State"},
-    SetHardwareComponentState.Response: {"ok": "boolean", "state": "lifecycle_msgs/State"},
-    TFMessage: {"transforms": "sequence<geometry_msgs/TransformStamped>"},
-    TF2Error: {"error": "uint8", "error_string": "string"},
-    LookupTransform.Goal: {
-        "target_frame": "string",
-        "source_frame": "string",
-        "source_time": "builtin_interfaces/Time",
-        "timeout": "builtin_interfaces/Duration",
-        "target_time": "builtin_interfaces/Time",
-        "fixed_frame": "string",
-        "advanced": "boolean",
-    },
-    ControlModeStatus: HEADER
-    | {"requested_control_mode": "string", "current_control_mode": "string", "status": "uint32"},
-    VigirControlModeCommand: HEADER | {"requested_control_mode": "string"},
-    ChangeControlMode.Goal: {"mode_request": "string"},
-    ChangeControlMode.Result: {"result": "vigir_humanoid_control_msgs/ControlModeStatus"},
-    ChangeControlMode.Feedback: {"feedback": "vigir_humanoid_control_msgs/ControlModeStatus"},
-    Foot: HEADER | {"foot_index": "uint8", "pose": "geometry_msgs/Pose"},
-    Feet: HEADER | {"left": f"{VIGIR}/Foot", "right": f"{VIGIR}/Foot"},
-    Step: HEADER
-    | {"foot": f"{VIGIR}/Foot", "step_index": "int32", "cost": "float", "risk": "float"}
-    | dict.fromkeys(("valid", "colliding", "locked", "modified"), "boolean")
-    | dict.fromkeys(("sway_duration", "step_duration", "swing_height"), "float")
-    | {"data": "sequence<uint8>"},
-    StepPlan: HEADER
-    | {"parameter_set_name": "std_msgs/String", "start": f"{VIGIR}/Feet", "goal": f"{VIGIR}/Feet"}
-    | {"steps": f"sequence<{VIGIR}/Step>", "mode": "uint8", "data": "sequence<uint8>"},
-    StepPlanFeedback: HEADER | {"steps": f"sequence<{VIGIR}/Step>", "data": "sequence<uint8>"},
-    ErrorStatus: {"error": "uint32", "error_msg": "string", "warning": "uint32", "warning_msg": "string"},
-    FootstepExecutionStatus: HEADER | {"status": "uint32"},
-    ExecuteStepPlan.Goal: {"step_plan": f"{VIGIR}/StepPlan"},
-    ExecuteStepPlan.Result: {"status": f"{VIGIR}/FootstepExecutionStatus", "controller_state": "int8"},
-    ExecuteStepPlan.Feedback: HEADER
-    | {"controller_state": "int8", "status": f"{VIGIR}/ErrorStatus", "queue_size": "int32"}
-    | dict.fromkeys(("first_queued_step_index", "last_queued_step_index"), "int32")
-    | dict.fromkeys(("last_performed_step_index", "currently_executing_step_index"), "int32")
-    | dict.fromkeys(("first_changeable_step_index", "stepping_status"), "int32")
-    | {"feedback": f"{VIGIR}/StepPlanFeedback"},
-}
-CONSTANTS = {
-    SwitchController.Request: "BEST_EFFORT 1 STRICT 2 AUTO 3 FORCE_AUTO 4",
-    FollowJointTrajectory.Result: "SUCCESSFUL 0 INVALID_GOAL -1 INVALID_JOINTS -2 OLD_HEADER_TIMESTAMP -3 "
-    "PATH_TOLERANCE_VIOLATED -4 GOAL_TOLERANCE_VIOLATED -5",
-    JointComponentTolerance: "X_AXIS 1 Y_AXIS 2 Z_AXIS 3 TRANSLATION 4 ROTATION 5",
-    TF2Error: "NO_ERROR 0 LOOKUP_ERROR 1 CONNECTIVITY_ERROR 2 EXTRAPOLATION_ERROR 3 INVALID_ARGUMENT_ERROR 4 "
-    "TIMEOUT_ERROR 5 TRANSFORM_ERROR 6",
-    ControlModeStatus: "NO_ERROR 0 MODE_ACCEPTED 1 MODE_REJECTED 2 MODE_PREEMPTED 4 MODE_PROCESSING 8 "
-    "MODE_DUPLICATE 16 EXTERNAL_CHANGE 32 ERR_UNKNOWN 256 ERR_CONTROLLER_NOT_READY 512 "
-    "ERR_INVALID_BEHAVIOR_MODE 1024 ERR_INVALID_TRANSITION 2048 ERR_PRIOR_COMMAND_IN_PROGRESS 4096",
-    Foot: "LEFT 0 RIGHT 1",
-    FootstepExecutionStatus: "NO_ERROR 0 REACHED_GOAL 1 WAITING_FOR_ATLAS 2 EXECUTING_STEP_PLAN 4 "
-    "PREMATURE_HALT 8 UPDATED_STEP_PLAN 16 EMERGENCY_HALT 32 ERR_UNKNOWN 256 ERR_EMPTY_PLAN 512 "
-    "ERR_INVALID_BEHAVIOR_MODE 1024 ERR_INVALID_PLAN 2048 ERR_INVALID_INCONSISTENT_INDICES 4096 "
-    "ERR_INCONSISTENT_STEP_PLAN 8192 ERR_CONTROLLER_NOT_READY 16384 ERR_FALLEN 32768 "
-    "ERR_NON_ZERO_INITIAL_STEP 65536 ERR_NEXT_ERROR 131072",
-    ErrorStatus: "NO_ERROR 0 ERR_UNKNOWN 1 ERR_NO_SOLUTION 2 ERR_INVALID_START 4 ERR_INVALID_GOAL 8 "
-    "ERR_INVALID_GRID_MAP 16 ERR_INVALID_TERRAIN_MODEL 32 ERR_INVALID_STEP 64 ERR_INCONSISTENT_STEP_PLAN 128 "
-    "ERR_INVALID_PARAMETERS 256 ERR_NO_PLUGIN_AVAILABLE 512 ERR_INCONSISTENT_REQUEST 1024 "
-    "NO_WARNING 0 WARN_UNKNOWN 1 WARN_INCOMPLETE_STEP_PLAN 2 WARN_INVALID_STEP_PLAN 4",
-    ExecuteStepPlan.Feedback: "NOT_READY 0 READY 1 ACTIVE 2 PAUSED 3 FINISHED 4 FAILED 5",
-}
+# The public definitions: a package's part, then types with their fields in order, ``~`` for the package, and constants.
+PUBLIC = """
+control_msgs.action
+  FollowJointTrajectory.Goal: trajectory_msgs/JointTrajectory trajectory; trajectory_msgs/MultiDOFJointTrajectory
+    multi_dof_trajectory; sequence<~/JointTolerance> path_tolerance; sequence<~/JointComponentTolerance>
+    component_path_tolerance; sequence<~/JointTolerance> goal_tolerance; sequence<~/JointComponentTolerance>
+    component_goal_tolerance; builtin_interfaces/Duration goal_time_tolerance
+  FollowJointTrajectory.Result: int32 error_code; string error_string
+  FollowJointTrajectory.Result = SUCCESSFUL 0 INVALID_GOAL -1 INVALID_JOINTS -2 OLD_HEADER_TIMESTAMP -3
+    PATH_TOLERANCE_VIOLATED -4 GOAL_TOLERANCE_VIOLATED -5
+  FollowJointTrajectory.Feedback: Header header; sequence<string> joint_names; trajectory_msgs/JointTrajectoryPoint
+    desired actual error; sequence<string> multi_dof_joint_names; trajectory_msgs/MultiDOFJointTrajectoryPoint
+    multi_dof_desired multi_dof_actual multi_dof_error
+control_msgs.msg
+  JointTolerance: string name; double position velocity acceleration
+  JointComponentTolerance: string joint_name; uint16 component; double position velocity acceleration
+  JointComponentTolerance = X_AXIS 1 Y_AXIS 2 Z_AXIS 3 TRANSLATION 4 ROTATION 5
+  JointTrajectoryControllerState: Header header; sequence<string> joint_names; trajectory_msgs/JointTrajectoryPoint
+    reference feedback error output; sequence<string> multi_dof_joint_names;
+    trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_reference multi_dof_feedback multi_dof_error
+    multi_dof_output; double speed_scaling_factor
+control_msgs.srv
+  QueryTrajectoryState_Request: builtin_interfaces/Time time
+  QueryTrajectoryState_Response: boolean success; string message; sequence<string> name; sequence<double> position
+    velocity acceleration
+controller_manager_msgs.msg
+  ChainConnection: string name; sequence<string> reference_interfaces
+  ControllerState: string name state type; boolean is_async; uint16 update_rate; sequence<string> claimed_interfaces
+    required_command_interfaces required_state_interfaces; boolean is_chainable is_chained; sequence<string>
+    exported_state_interfaces reference_interfaces; sequence<~/ChainConnection> chain_connections
+  HardwareInterface: string name data_type; boolean is_available is_claimed
+  HardwareComponentState: string name type; boolean is_async; uint16 rw_rate; string class_type plugin_name;
+    lifecycle_msgs/State state; sequence<~/HardwareInterface> command_interfaces state_interfaces
+controller_manager_msgs.srv
+  SwitchController_Request: sequence<string> activate_controllers deactivate_controllers; int32 strictness; boolean
+    activate_asap; builtin_interfaces/Duration timeout
+  SwitchController_Request = BEST_EFFORT 1 STRICT 2 AUTO 3 FORCE_AUTO 4
+  SwitchController_Response: boolean ok; string message
+  ListControllers_Response: sequence<~/ControllerState> controller
+  ListControllerTypes_Response: sequence<string> types base_classes
+  ListHardwareComponents_Response: sequence<~/HardwareComponentState> component
+  ListHardwareInterfaces_Response: sequence<~/HardwareInterface> command_interfaces state_interfaces
+  SetHardwareComponentState_Request: string name; lifecycle_msgs/State target_state
+  SetHardwareComponentState_Response: boolean ok; lifecycle_msgs/State state
+tf2_msgs.msg
+  TFMessage: sequence<geometry_msgs/TransformStamped> transforms
+  TF2Error: uint8 error; string error_string
+  TF2Error = NO_ERROR 0 LOOKUP_ERROR 1 CONNECTIVITY_ERROR 2 EXTRAPOLATION_ERROR 3 INVALID_ARGUMENT_ERROR 4
+    TIMEOUT_ERROR 5 TRANSFORM_ERROR 6
+tf2_msgs.action
+  LookupTransform.Goal: string target_frame source_frame; builtin_interfaces/Time source_time;
+    builtin_interfaces/Duration timeout; builtin_interfaces/Time target_time; string fixed_frame; boolean advanced
+vigir_humanoid_control_msgs.msg
+  ControlModeStatus: Header header; string requested_control_mode current_control_mode; uint32 status
+  ControlModeStatus = NO_ERROR 0 MODE_ACCEPTED 1 MODE_REJECTED 2 MODE_PREEMPTED 4 MODE_PROCESSING 8 MODE_DUPLICATE 16
+    EXTERNAL_CHANGE 32 ERR_UNKNOWN 256 ERR_CONTROLLER_NOT_READY 512 ERR_INVALID_BEHAVIOR_MODE 1024
+    ERR_INVALID_TRANSITION 2048 ERR_PRIOR_COMMAND_IN_PROGRESS 4096
+  VigirControlModeCommand: Header header; string requested_control_mode
+vigir_humanoid_control_msgs.action
+  ChangeControlMode.Goal: string mode_request
+  ChangeControlMode.Result: ~/ControlModeStatus result
+  ChangeControlMode.Feedback: ~/ControlModeStatus feedback
+vigir_footstep_planning_msgs.msg
+  Foot: Header header; uint8 foot_index; geometry_msgs/Pose pose
+  Foot = LEFT 0 RIGHT 1
+  Feet: Header header; ~/Foot left right
+  Step: Header header; ~/Foot foot; int32 step_index; float cost risk; boolean valid colliding locked modified; float
+    sway_duration step_duration swing_height; sequence<uint8> data
+  StepPlan: Header header; std_msgs/String parameter_set_name; ~/Feet start goal; sequence<~/Step> steps; uint8 mode;
+    sequence<uint8> data
+  StepPlanFeedback: Header header; sequence<~/Step> steps; sequence<uint8> data
+  ErrorStatus: uint32 error; string error_msg; uint32 warning; string warning_msg
+  ErrorStatus = NO_ERROR 0 ERR_UNKNOWN 1 ERR_NO_SOLUTION 2 ERR_INVALID_START 4 ERR_INVALID_GOAL 8 ERR_INVALID_GRID_MAP
+    16 ERR_INVALID_TERRAIN_MODEL 32 ERR_INVALID_STEP 64 ERR_INCONSISTENT_STEP_PLAN 128 ERR_INVALID_PARAMETERS 256
+    ERR_NO_PLUGIN_AVAILABLE 512 ERR_INCONSISTENT_REQUEST 1024 NO_WARNING 0 WARN_UNKNOWN 1 WARN_INCOMPLETE_STEP_PLAN 2
+    WARN_INVALID_STEP_PLAN 4
+  FootstepExecutionStatus: Header header; uint32 status
+  FootstepExecutionStatus = NO_ERROR 0 REACHED_GOAL 1 WAITING_FOR_ATLAS 2 EXECUTING_STEP_PLAN 4 PREMATURE_HALT 8
+    UPDATED_STEP_PLAN 16 EMERGENCY_HALT 32 ERR_UNKNOWN 256 ERR_EMPTY_PLAN 512 ERR_INVALID_BEHAVIOR_MODE 1024
+    ERR_INVALID_PLAN 2048 ERR_INVALID_INCONSISTENT_INDICES 4096 ERR_INCONSISTENT_STEP_PLAN 8192
+    ERR_CONTROLLER_NOT_READY 16384 ERR_FALLEN 32768 ERR_NON_ZERO_INITIAL_STEP 65536 ERR_NEXT_ERROR 131072
+vigir_footstep_planning_msgs.action
+  ExecuteStepPlan.Goal: ~/StepPlan step_plan
+  ExecuteStepPlan.Result: ~/FootstepExecutionStatus status; int8 controller_state
+  ExecuteStepPlan.Feedback: Header header; int8 controller_state; ~/ErrorStatus status; int32 queue_size
+    first_queued_step_index last_queued_step_index last_performed_step_index currently_executing_step_index
+    first_changeable_step_index stepping_status; ~/StepPlanFeedback feedback
+  ExecuteStepPlan.Feedback = NOT_READY 0 READY 1 ACTIVE 2 PAUSED 3 FINISHED 4 FAILED 5
+"""
+
+
+def public() -> Iterator[tuple[str, str, Any, list[str]]]:
+    module = ""
+    for row in re.sub(r"\n {4}", " ", PUBLIC).strip("\n").splitlines():
+        if not row.startswith(" "):
+            module = row
+            continue
+        name, kind, words = re.split(r"(:| =) ", row.strip(), maxsplit=1)
+        message: Any = importlib.import_module(module)
+        for part in name.split("."):
+            message = getattr(message, part)
+        yield name, kind, message, words.replace("~", module.partition(".")[0]).split("; " if kind == ":" else None)
+
 
 SERVER = """
     import time
@@ -196,16 +161,15 @@ SERVER = """
 """
 
 
-@pytest.mark.parametrize("message", FIELDS, ids=lambda message: message.__name__)
-def test_fields_are_the_public_ones_in_their_order(message: Any) -> None:
-    assert list(message.get_fields_and_field_types().items()) == list(FIELDS[message].items())
-
-
-@pytest.mark.parametrize("message", CONSTANTS, ids=lambda message: message.__name__)
-def test_constants_are_the_public_ones(message: type) -> None:
-    words = CONSTANTS[message].split()
-    expected = {name: int(value) for name, value in zip(words[::2], words[1::2], strict=True)}
-    assert {name: getattr(message, name) for name in expected} == expected
+@pytest.mark.parametrize(("name", "kind", "message", "parts"), public())
+def test_fields_and_constants_are_the_public_ones(name: str, kind: str, message: Any, parts: list[str]) -> None:
+    if kind == ":":
+        groups = [part.replace("Header ", "std_msgs/Header ").split() for part in parts]
+        fields = [(field, type_) for type_, *fields in groups for field in fields]
+        assert list(message.get_fields_and_field_types().items()) == fields, name
+    else:
+        expected = {name: int(value) for name, value in zip(parts[::2], parts[1::2], strict=True)}
+        assert {name: getattr(message, name) for name in expected} == expected
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from harness.instance import RunningInstance, fresh_instance
-from harness.waiting import PATIENCE, wait_until
+from harness.waiting import PATIENCE, some, wait_until
 from tests.integration.comms_manager_alone import Newest
 from valor.common import messages
 from valor.common.messages import BehaviorRequest, DeviceStatus, FaultRequest, JointSetpoints, MotionState
@@ -39,9 +39,7 @@ class RobotOnDevices:
         self.robot = RobotDescription.load(running.settings.robot)
 
     def measured(self) -> messages.Proprioceptor:
-        received = self._measured.receive(PATIENCE)
-        assert received is not None
-        return received.message
+        return some(self._measured.receive(PATIENCE)).message
 
     def unit(self, name: str) -> tuple[str, str, float]:
         """State, detail and errors of a unit."""

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from harness.instance import RunningInstance
-from harness.waiting import wait_until
+from harness.waiting import some, wait_until
 from valor.common import messages, topics
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorReply, BehaviorRequest, GroundTruth, MotionState, StepStatus, VelocityCommand
@@ -72,9 +72,7 @@ class MotionSystem:
             state = self.look()
             return state if state is not None and condition(state) else None
 
-        state = wait_until(seen, timeout, what)
-        assert state is not None
-        return state
+        return wait_until(seen, timeout, what)
 
     def wait_behavior(self, behavior: Behavior, timeout: float = 60.0) -> MotionState:
         return self.wait(lambda state: state.behavior == behavior, f"behavior {behavior}", timeout)
@@ -129,8 +127,7 @@ class MotionSystem:
 
         def over() -> bool:
             self._velocity.publish(VelocityCommand(self.now(), forward, 0.0, 0.0))
-            state = self.look()
-            assert state is not None
+            state = some(self.look())
             assert state.behavior == Behavior.WALK, state.reason
             return state.time >= until
 
@@ -164,9 +161,7 @@ class MotionSystem:
             state = self.look()
             return state if state is not None and until(state) else None
 
-        state = wait_until(step, 60.0, what, period=0.004)
-        assert state is not None
-        return state
+        return wait_until(step, 60.0, what, period=0.004)
 
     def refused(self, reason: str, **message: object) -> None:
         """Send set-points again and again until they are seen to be refused for a reason."""

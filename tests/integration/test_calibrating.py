@@ -12,7 +12,7 @@ import pytest
 
 from harness.places import ROBOTS
 from harness.system import RosClient, System, running
-from harness.waiting import wait_until
+from harness.waiting import some, wait_until
 from valor.robot import arm_calibration
 from valor.robot.arm_calibration import FILE
 from valor.robot.description import RobotDescription
@@ -73,10 +73,8 @@ def test_it_finds_what_the_arm_is_and_the_robot_keeps_it(system: System, robot: 
     output = system.valorctl("calibrate", "arm", "right", "--poses", "3", "--json", timeout=PATIENCE)
     found = json.loads(output.stdout)
     assert found["file"] == str(robot.folder / FILE)
-    table = arm_calibration.load(robot)
-    assert table is not None
-    assert table.right_arm is not None
-    assert table.right_arm.poses == 3
+    table = some(arm_calibration.load(robot))
+    assert table.right_arm is not None and table.right_arm.poses == 3
     gears = Gears.of(robot, robot.tables.actuators["hdt_arms"])
     places = robot.group_indices(ARM)
     joints = table.right_arm.joints.values()

@@ -9,7 +9,7 @@ import pytest
 
 from harness.instance import RunningInstance
 from harness.places import ROBOTS
-from harness.waiting import PATIENCE, wait_until
+from harness.waiting import PATIENCE, some, wait_until
 from tests.integration.device_system import RobotOnDevices, on_devices
 from valor.common.processes import EXIT_CONFIGURATION
 from valor.common.topics import GROUND_TRUTH, PROPRIOCEPTOR
@@ -25,9 +25,7 @@ class Bench(RobotOnDevices):
 
     def height(self) -> float:
         """Of the pelvis, in truth [m]."""
-        received = self._truth.receive(PATIENCE)
-        assert received is not None
-        return float(received.message.pelvis_position_in_world[2])
+        return float(some(self._truth.receive(PATIENCE)).message.pelvis_position_in_world[2])
 
 
 def test_a_start_with_another_device_is_refused(instance: RunningInstance, tmp_path: Path) -> None:
@@ -67,10 +65,8 @@ def test_it_stands_on_its_devices(standing: Bench) -> None:
     assert {unit.split("/")[0] for unit in status.units} == {"force_torque", "imu", "neck", "hdt", "legs"}
     assert len([unit for unit in status.units if unit.startswith("legs/")]) == 7
     assert (status.reaction, status.reason) == ("keep_balance", "")
-    received = PROPRIOCEPTOR.subscriber(standing.running.node("looker")).receive(PATIENCE)
-    assert received is not None
-    weight = received.message.left_foot_wrench[2] + received.message.right_foot_wrench[2]
-    assert 300.0 < weight < 1500.0
+    measured = standing.measured()
+    assert 300.0 < measured.left_foot_wrench[2] + measured.right_foot_wrench[2] < 1500.0
     assert 0.75 < standing.height() < 0.85
 
 
@@ -148,8 +144,7 @@ def test_the_motion_manager_may_die_under_a_standing_robot_and_no_joint_moves(st
     """Nor a finger's, whose servo is so soft that a noisy measurement of its effort would move it."""
     robot = RobotDescription.load(ROBOTS / "escher")
     positions = PROPRIOCEPTOR.subscriber(standing.running.node("watcher"), queue=20_000)
-    first = positions.receive(PATIENCE)
-    assert first is not None
+    first = some(positions.receive(PATIENCE))
     standing.running.kill("motion_manager")
     standing.running.start("motion_manager")
     standing.running.wait_ready("motion_manager", PATIENCE)

@@ -194,8 +194,7 @@ def in_ros_domain(up: Hosts, name: str) -> Iterator[None]:
     program = f"import socket; s = socket.socket(type=socket.SOCK_DGRAM); s.bind(('', {discovery_port(domain)}))"
     command = up.command(name, sys.executable, "-c", f"{program}; print('there', flush=True); input()")
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "there\n"
+        assert process.stdout is not None and process.stdout.readline() == "there\n"
         yield
         process.kill()
 

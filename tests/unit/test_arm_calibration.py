@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from harness.places import ROBOTS
+from harness.waiting import some
 from valor.common.errors import ConfigurationError
 from valor.motion_manager.joints.servos import ServoCompensation
 from valor.robot import arm_calibration
@@ -43,8 +44,7 @@ def test_the_file_is_read_back_and_keeps_the_other_arm(robot: RobotDescription) 
     assert arm_calibration.load(robot) is None
     write(robot, left_arm=found(robot, "left"))
     write(robot, right_arm=found(robot, "right", friction=4.0))
-    table = arm_calibration.load(robot)
-    assert table is not None
+    table = some(arm_calibration.load(robot))
     assert table.left_arm == found(robot, "left")
     assert table.right_arm == found(robot, "right", friction=4.0)
     assert [group for group, _ in table.present()] == ["left_arm", "right_arm"]
@@ -112,8 +112,7 @@ def test_a_calibration_of_a_changed_robot_is_rejected(robot: RobotDescription, f
         arm_calibration.load(again)
     assert any("calibrate again" in str(fault) for fault in examine(robot.folder).faults)
     write(again, left_arm=found(robot, "left"))  # what does not fit any more is not kept
-    table = arm_calibration.load(again)
-    assert table is not None
+    table = some(arm_calibration.load(again))
     assert [group for group, _ in table.present()] == ["left_arm"]
 
 

@@ -62,8 +62,7 @@ def test_it_goes_with_its_rate_and_has_no_doubts_while_gravity_agrees(roll: floa
     for _ in range(100):
         attitude.update(rate, force(true), PERIOD)
         true = multiply(true, step)
-    assert attitude.orientation is not None
-    assert abs(np.dot(true, attitude.orientation)) == pytest.approx(1.0, abs=2e-5)
+    assert attitude.orientation is not None and abs(np.dot(true, attitude.orientation)) == pytest.approx(1.0, abs=2e-5)
 
 
 def test_a_wrong_tilt_goes_back_by_a_factor_of_e_in_its_time() -> None:

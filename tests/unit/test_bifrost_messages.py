@@ -196,8 +196,7 @@ def test_an_array_is_known_by_its_mark_alone() -> None:
     text = json.dumps(bifrost.to_builtins(message))
     for again in (codec.decode(codec.encode(message)), bifrost.from_json(Marked, text)):
         assert again == message
-        assert again.maybe is not None
-        assert again.reals.dtype == again.maybe.dtype == np.float64
+        assert again.maybe is not None and again.reals.dtype == again.maybe.dtype == np.float64
         assert again.octets.dtype == again.many[0].dtype == np.uint8
     for field, wrong in {"reals": np.zeros(8, np.uint8), "octets": np.zeros(1), "maybe": np.zeros(8, np.uint8)}.items():
         with pytest.raises(TypeError, match=rf"Marked\.{field}: expected a one-dimensional"):

@@ -216,8 +216,7 @@ def test_a_robot_whose_legs_are_on_may_be_anywhere(hanging: Bench) -> None:
         plant.data.qpos[int(plant.model.mj.joint("waist_yaw").qposadr[0])] += 0.4
         hanging.robot._measured = None
     with hanging.running() as driver:
-        assert driver.joint_state is not None
-        assert abs(driver.joint_state.position[-1]) > 0.2
+        assert driver.joint_state is not None and abs(driver.joint_state.position[-1]) > 0.2
 
 
 def test_a_unit_that_does_not_answer_is_named_with_its_bus(hanging: Bench) -> None:

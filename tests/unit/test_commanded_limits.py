@@ -74,8 +74,7 @@ def test_what_a_joint_can_do_and_may_not_be_commanded_is_refused_before_it_moves
     client = lead(controller, joint, -0.98 * robot.tables.joints["r_shoulder_pitch"].velocity, 1.1)
     before = controller.position.copy()
     manipulating.run(4)
-    assert client.outcome is not None
-    assert client.outcome.code is ErrorCode.INVALID_GOAL
+    assert client.outcome is not None and client.outcome.code is ErrorCode.INVALID_GOAL
     assert "r_shoulder_pitch would move at 2.04 rad/s" in client.outcome.text
     assert f"its limit is {controller.limits.velocity[joint]:g} rad/s" in client.outcome.text
     assert np.array_equal(controller.position, before)

@@ -278,8 +278,7 @@ def test_a_robot_left_walking_is_led_until_it_stands(devices: Devices, caplog: p
     admitted = commands.arbiter.admitted
     devices.say(behavior="stand")  # by one that should stand aside
     while not commands.arbiter.silent:
-        assert commands.arbiter.motor is not None
-        assert commands.arbiter.motor.behavior == REFLEX
+        assert commands.arbiter.motor is not None and commands.arbiter.motor.behavior == REFLEX
         devices.measure()
         admitted += 1
         assert (commands.arbiter.admitted, commands.answered) == (admitted, True)

@@ -118,8 +118,7 @@ def test_a_bag_that_is_none_ends_early_or_names_no_robot(bag: Path, tmp_path: Pa
 def test_ctrl_c_leaves_nothing(bag: Path, tmp_path: Path) -> None:
     command = [str(VALORCTL), "video", str(bag), "--robot", "escher", "--fps", "60", "--out", f"{tmp_path}/long.mp4"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
-        assert run.stdout is not None
-        assert "drawing" in run.stdout.readline()
+        assert run.stdout is not None and "drawing" in run.stdout.readline()
         run.send_signal(signal.SIGINT)
         _, complaints = run.communicate(timeout=120.0)
     assert (run.returncode, complaints.strip()) == (130, "valorctl: interrupted by SIGINT")

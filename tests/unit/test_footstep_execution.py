@@ -54,8 +54,7 @@ def test_an_end_with_a_cause_is_a_failure_however_many_steps_were_taken(
 ) -> None:
     execution.add_status(status("executing"), 0.1)
     execution.add_status(status(state, done, "the swing foot hit something"), 1.0)
-    assert execution.outcome is not None
-    assert execution.outcome.end is End.ABORTED
+    assert execution.outcome is not None and execution.outcome.end is End.ABORTED
     assert execution.outcome.status & S.PREMATURE_HALT
     assert f"after step {done} of 3: the swing foot hit something" in execution.outcome.text
 
@@ -74,8 +73,7 @@ def test_a_behavior_that_does_not_step_ends_the_plan(execution: Execution, behav
     hear(execution, "step", "", 0.1)
     execution.add_status(status("executing"), 0.1)
     hear(execution, behavior, "because", 0.5)
-    assert execution.outcome is not None
-    assert (execution.outcome.end, execution.outcome.status) == (End.ABORTED, flags)
+    assert execution.outcome is not None and (execution.outcome.end, execution.outcome.status) == (End.ABORTED, flags)
     assert execution.outcome.text == f"the Motion Manager entered {behavior!r}: because"
 
 
@@ -90,8 +88,7 @@ def test_a_change_to_stand_in_mid_plan_is_reported_once_the_robot_has_come_to_re
         execution.check_timeouts(1.0 + 0.5 * i * SETTLE)
         assert execution.outcome is None
     execution.add_status(status("finished", 1, "stand: requested by valor_ros_controller"), 12.0)
-    assert execution.outcome is not None
-    assert execution.outcome.status == S.ERR_INVALID_BEHAVIOR_MODE | S.PREMATURE_HALT
+    assert execution.outcome is not None and execution.outcome.status == S.ERR_INVALID_BEHAVIOR_MODE | S.PREMATURE_HALT
     assert "after step 1 of 3: stand: requested by" in execution.outcome.text
 
 
@@ -108,8 +105,7 @@ def test_a_change_to_stand_is_known_where_step_itself_went_unseen(
     execution.add_behavior("stand", "requested by somebody", 1.1, round(stood * 1e9))
     execution.add_status(at(1.1), 1.2)
     execution.add_status(status("finished", 1, "stopped"), 2.0)
-    assert execution.outcome is not None
-    assert execution.outcome.status == flags | S.PREMATURE_HALT
+    assert execution.outcome is not None and execution.outcome.status == flags | S.PREMATURE_HALT
 
 
 indices = st.integers(-1, 9)
@@ -187,8 +183,7 @@ def test_a_stop_ends_canceled_unless_it_comes_too_late(
     execution.add_status(status("executing"), 0.1)
     execution.request_stop(0.5)
     execution.add_status(status("finished", performed, reason), 1.0)
-    assert execution.outcome is not None
-    assert (execution.outcome.end, execution.outcome.status) == (end, flags)
+    assert execution.outcome is not None and (execution.outcome.end, execution.outcome.status) == (end, flags)
     assert end is End.SUCCEEDED or "after step 1 of 3: stopped" in execution.outcome.text
 
 
@@ -209,8 +204,7 @@ def test_a_robot_whose_time_goes_by_slowly_is_given_its_time(execution: Executio
         assert execution.outcome is None
         now, time = now + 1.0, time + 50_000_000
     execution.add_status(status("finished", 1, "stopped"), now)
-    assert execution.outcome is not None
-    assert execution.outcome.end is End.CANCELED
+    assert execution.outcome is not None and execution.outcome.end is End.CANCELED
 
 
 def test_an_update_moves_the_goal(execution: Execution) -> None:
@@ -220,8 +214,7 @@ def test_an_update_moves_the_goal(execution: Execution) -> None:
     execution.add_status(status("executing", 3), 0.3)
     assert execution.outcome is None
     execution.add_status(status("finished", 7), 0.4)
-    assert execution.outcome is not None
-    assert execution.outcome.end is End.SUCCEEDED
+    assert execution.outcome is not None and execution.outcome.end is End.SUCCEEDED
 
 
 def test_a_refusal_carries_the_motion_managers_own_words() -> None:

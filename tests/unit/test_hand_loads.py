@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.still_robot import MODEL, ROBOT, Robot
+from harness.waiting import some
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.motion_manager.hands.hand_goals import seen_from_pelvis
@@ -28,8 +29,7 @@ def in_hand(force: FloatArray) -> FloatArray:
     data = mujoco.MjData(MODEL.mj)
     data.qpos[:] = MODEL.nominal_qpos()
     mujoco.mj_kinematics(MODEL.mj, data)
-    hand = ROBOT.tables.hands.right
-    assert hand is not None
+    hand = some(ROBOT.tables.hands.right)
     turn = data.site_xmat[MODEL.site(hand.site)].reshape(3, 3)
     return np.concatenate((turn.T @ force, np.zeros(3)))
 
@@ -37,8 +37,7 @@ def in_hand(force: FloatArray) -> FloatArray:
 def lifted_by(arm: str) -> FloatArray:
     """(m,) how far each joint lifts the right hand [m/rad]."""
     data, eps = mujoco.MjData(MODEL.mj), 1e-6
-    hand = ROBOT.tables.hands.right
-    assert hand is not None
+    hand = some(ROBOT.tables.hands.right)
     heights = []
     for joint in (None, *ROBOT.tables.group(arm)):
         data.qpos[:] = MODEL.nominal_qpos()

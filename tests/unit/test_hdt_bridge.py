@@ -13,6 +13,7 @@ from valor_msgs.msg import HdtCommand as RosCommand
 from valor_msgs.msg import HdtState as RosState
 
 from bifrost import Received
+from harness.waiting import some
 from valor.common.messages import HdtCommand, HdtState
 from valor.hdt_bridge.service import statistics
 from valor.ros.mirror import from_ros, to_ros
@@ -44,12 +45,10 @@ def diagnostics(name: str = "hdt_driver", message: str = "ready", **changes: str
 
 
 def test_diagnostics_of_the_driver_become_its_statistics() -> None:
-    report = statistics(diagnostics())
-    assert report is not None
+    report = some(statistics(diagnostics()))
     assert (report.service, report.state, report.detail) == ("hdt_driver", "ready", "")
     assert (report.pid, report.cpu_percent) == (7, 0.5)
-    waiting = statistics(diagnostics(message="left_arm: it does not respond"))
-    assert waiting is not None
+    waiting = some(statistics(diagnostics(message="left_arm: it does not respond")))
     assert (waiting.state, waiting.detail) == ("starting", "left_arm: it does not respond")
     for invalid in ({"name": "valor_ros_controller: loop"}, {"pid": ""}, {"cycles": "many"}):
         assert statistics(diagnostics(**invalid)) is None

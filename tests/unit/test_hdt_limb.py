@@ -161,8 +161,7 @@ def test_an_encoder_jump_is_a_fault_until_the_old_position_returns() -> None:
     assert limb.fault[2] & Fault.ENCODER and limb.position == pytest.approx(HOME)
     limb.accept(command(HOME + 0.01, sequence=2), 0.01)
     sent = limb.setpoints(0.01)
-    assert sent is not None
-    assert sent.position[2] == pytest.approx(HOME[2]) and sent.position[3] > HOME[3]
+    assert sent is not None and sent.position[2] == pytest.approx(HOME[2]) and sent.position[3] > HOME[3]
     report(limb, HOME)
     assert not limb.fault.any()
     limb.setpoints(0.02)

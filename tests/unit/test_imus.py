@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from harness.device_bench import UNSOUND, Bench, reported_fault, sound
 from harness.places import ROBOTS
-from harness.waiting import wait_until
+from harness.waiting import some, wait_until
 from valor.comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
 from valor.comms_manager.hardware.microstrain import MicroStrain
 from valor.device_emulators.emulator import EmulatedFault
@@ -160,8 +160,7 @@ def test_what_came_while_other_devices_were_found_is_not_taken_for_late(bench: B
     driver, stopping = bench.driver(), threading.Event()
     driver.find()
     assert isinstance(driver, MicroStrain)
-    port = driver._port
-    assert port is not None
+    port = some(driver._port)
     wait_until(lambda: port.in_waiting > 2000, 10, "twenty-five samples that nobody fetched")
     thread = threading.Thread(target=driver.run, args=(stopping,))
     thread.start()

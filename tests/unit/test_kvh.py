@@ -6,17 +6,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from harness.device_bench import Bench, reported_fault, sound
 from harness.waiting import wait_until
 from tests.unit.test_imus import altered
-from valor.comms_manager.hardware import kvh as driver_side
 from valor.comms_manager.hardware.device import Device, Fault, ImuMeasurement
-from valor.device_emulators import kvh as sensor_side
 from valor.device_emulators.emulator import EmulatedFault
-from valor.devices.kvh import CRC_SIZE, HEADER, MESSAGE
 
 
 @pytest.fixture
@@ -29,22 +24,6 @@ def bench(home: Path) -> Iterator[Bench]:
 def newest(driver: Device) -> ImuMeasurement:
     assert driver.attitude is not None
     return driver.attitude
-
-
-@given(st.binary(max_size=64))
-def test_both_ends_sum_alike(data: bytes) -> None:
-    assert driver_side._is_valid(data + sensor_side.crc32(data).to_bytes(CRC_SIZE, "big"))
-    assert sensor_side.crc32(b"123456789") == 0x0376E6E7, "CRC-32/MPEG-2"
-
-
-def test_a_message_has_the_manuals_layout() -> None:
-    sensor = sensor_side.KvhSensor("1750-0042")
-    sensor.receive(b"=CONFIG,1\n=ROTFMT,RATE\n=DR,250\n=CONFIG,0\n")
-    sensor.rotation, sensor.acceleration = np.array([0.5, -0.25, 2.0]), np.array([0.0, 0.0, 9.80665])
-    (first,), (second,) = sensor.stream(10.0), sensor.stream(10.004)
-    assert len(first) == 36 and first[:4] == HEADER
-    assert MESSAGE.unpack_from(first) == (HEADER, 0.5, -0.25, 2.0, 0.0, 0.0, 1.0, 0x77, 0, 34)
-    assert (first[29], second[29]) == (0, 1), "its count of messages"
 
 
 def test_what_the_robot_feels_arrives_and_becomes_an_attitude(bench: Bench) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from harness.places import ROBOTS
+from harness.waiting import some
 from valor.common.behaviors import Behavior
 from valor.common.messages import Footstep, FootstepPlanRequest, StepStatus
 from valor.motion_manager.behavior_fsm import BehaviorFsm
@@ -202,8 +203,7 @@ def test_no_foot_on_the_other() -> None:
 def test_a_turn_is_that_of_the_headings_however_the_soles_tilt() -> None:
     """Up one slope and down another, turned as far as may be, seen from a robot that looks aside."""
     bench = Bench()
-    limits = ROBOT.tables.footsteps
-    assert limits is not None
+    limits = some(ROBOT.tables.footsteps)
     heading, tilt = 1.2, 0.9 * limits.max_tilt
 
     def sole(yaw: float, pitch: float) -> np.ndarray:
@@ -218,8 +218,7 @@ def test_a_turn_is_that_of_the_headings_however_the_soles_tilt() -> None:
 
 
 def test_a_long_step_is_not_a_wide_one() -> None:
-    limits = ROBOT.tables.footsteps
-    assert limits is not None
+    limits = some(ROBOT.tables.footsteps)
     across = 0.99 * min(limits.max_forward, limits.max_width, limits.max_distance)
     reason = Bench().send([footstep(0, 0, across, -0.1 + across)])
     assert reason.startswith("step 0 (left): distance from the other foot 0.")

@@ -10,6 +10,7 @@ import pytest
 from bifrost import Received
 from harness.places import ROBOTS
 from harness.still_robot import ROBOT, Robot
+from harness.waiting import some
 from tests.unit.test_motion_manager_footsteps import ahead
 from tests.unit.test_motion_manager_setpoints import ARM, Bench
 from valor.common.behaviors import Behavior
@@ -47,13 +48,11 @@ def test_a_foot_that_does_not_touch_has_no_part_in_the_centre_of_pressure(foot: 
     robot.run(1.0)
     assert not robot.ask(Behavior.STAND)
     robot.run(0.1)
-    state = robot.manager.components.state
-    assert state is not None
+    state = some(robot.manager.components.state)
     np.testing.assert_allclose(state.cop_in_odom, [0.02, 0.0], atol=1e-9)
     for _ in range(100):
         robot.tick(**dict[str, Any]({f"{foot}_foot_wrench": np.zeros(6)}))
-        state = robot.manager.components.state
-        assert state is not None
+        state = some(robot.manager.components.state)
         if state.contacts.sum() == 1:
             break
     np.testing.assert_allclose(state.cop_in_odom, [0.02, aside], atol=1e-6)

@@ -69,8 +69,7 @@ def test_a_gap_is_what_lies_between_two_states_and_all_between_is_missed(steps: 
         assert watchdog.repeated(said) == (passed == 0 and numbers == 0)
         gap = watchdog.discontinuity(said)
         if passed <= 0 or numbers <= 0:
-            assert gap is not None
-            assert not gap.same_world
+            assert gap is not None and not gap.same_world
             assert "another world" in gap.reason
         else:
             missed += numbers - 1

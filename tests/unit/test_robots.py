@@ -10,6 +10,7 @@ import pytest
 
 from harness.generated_robot import Build
 from harness.places import ROBOTS
+from harness.waiting import some
 from tests.unit.robot_setup.builds import made
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
@@ -130,8 +131,7 @@ def test_mirrored_axes_make_no_difference(tmp_path: Path) -> None:
 def test_differences_are_reported_by_name(tmp_path: Path) -> None:
     robot = made(Build(), tmp_path)
     model, table = robot.model_file.read_text(), robot.file.read_text()
-    thigh = re.search(r'<body name="left_thigh".*?<inertial mass="([0-9.]+)"', model, re.DOTALL)
-    assert thigh is not None
+    thigh = some(re.search(r'<body name="left_thigh".*?<inertial mass="([0-9.]+)"', model, re.DOTALL))
     heavier = model[: thigh.start(1)] + str(float(thigh[1]) * 1.2) + model[thigh.end(1) :]
     robot.model_file.write_text(heavier)
     robot.file.write_text(re.sub(r"(  right_knee_\S+ .*?effort: )[0-9.]+", r"\g<1>150", table))
@@ -194,8 +194,7 @@ def test_a_robots_tables_are_of_its_size(tmp_path: Path) -> None:
         ("half_width: 0.07425", "half_width: 0.019"),
         ("footsteps: {}", "footsteps: { max_up: 0.1 }"),
     )
-    footsteps = small.tables.footsteps
-    assert footsteps is not None
+    footsteps = some(small.tables.footsteps)
     assert (footsteps.max_up, footsteps.max_down) == (0.1, 0.05)
     assert footsteps.min_width == pytest.approx(0.15 * 0.019 / 0.07425)
     assert small.tables.walking.swing_duration == pytest.approx(0.3)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -64,29 +65,22 @@ def test_other_arguments_are_refused_by_name(settings: Settings, arguments: tupl
 def test_a_node_is_active_while_it_can_work_and_finalized_at_the_end(settings: Settings) -> None:
     states: list[str] = []
 
-    class Watched(ProcessNode):
-        def on_configure(self, state: object) -> object:
-            states.append("configured")
-            return super().on_configure(state)
+    def watched(callback: str) -> Any:
+        def called(node: ProcessNode, state: object) -> object:
+            states.append(callback)
+            return getattr(ProcessNode, callback)(node, state)
 
-        def on_activate(self, state: object) -> object:
-            states.append("activated")
-            return super().on_activate(state)
+        return called
 
-        def on_deactivate(self, state: object) -> object:
-            states.append("deactivated")
-            return super().on_deactivate(state)
-
-        def on_shutdown(self, state: object) -> object:
-            states.append("shut down")
-            return super().on_shutdown(state)
-
-    side = joined(settings, node=Watched)
+    names = ("on_configure", "on_activate", "on_deactivate", "on_shutdown")
+    configured, activated, deactivated, shut_down = names
+    watching: Any = type("Watched", (ProcessNode,), {name: watched(name) for name in names})
+    side = joined(settings, node=watching)
     side.life.configure()
     side.serve_pending()
-    assert states == ["configured"]
+    assert states == [configured]
     for ready in (True, True, False, True):
         side.life.set_ready(ready, "something")
         side.serve_pending()
     side.close()
-    assert states == ["configured", "activated", "deactivated", "activated", "deactivated", "shut down"]
+    assert states == [configured, activated, deactivated, activated, deactivated, shut_down]

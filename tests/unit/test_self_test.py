@@ -20,8 +20,7 @@ def result_of(robot: RobotDescription, name: str) -> AcceptanceResult:
 def test_a_valid_robot_passes(name: str) -> None:
     result = result_of(load_robot("thor"), name)
     assert result.passed, result.reason
-    assert result.numbers is not None
-    assert result.numbers.tilt < 0.1
+    assert result.numbers is not None and result.numbers.tilt < 0.1
     assert result.numbers.unsolved == 0
 
 

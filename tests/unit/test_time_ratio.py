@@ -23,11 +23,6 @@ def test_a_pause_determines_the_worst_second() -> None:
     assert seen.lost_beyond(2 * PERIOD) == pytest.approx(0.25 - PERIOD)
 
 
-def test_less_than_a_second_has_one_ratio() -> None:
-    seen = pace([PERIOD] * 10 + [2 * PERIOD])
-    assert seen.worst_second == seen.factor == pytest.approx(11 / 12)
-
-
 @given(st.lists(st.floats(0.001, 0.05), min_size=2, max_size=300))
 def test_the_worst_second_and_losses(periods: list[float]) -> None:
     seen = pace(periods)

@@ -20,7 +20,7 @@ from valor_msgs.msg import HandGoalStatus
 from harness.emulated_channel import Conditions
 from harness.link_pair import Pair
 from harness.places import ROBOTS
-from harness.waiting import wait_until
+from harness.waiting import some, wait_until
 from tests.unit.link.test_packed_steps import walk
 from valor.link.fields import Layout
 from valor.link.state import RobotState
@@ -122,8 +122,7 @@ def test_what_changes_is_reported_once_and_arrives_unchanged(nodes: tuple[Any, A
     assert relay.plans[-1].feedback.feedback.steps == came.feedback.steps
     assert relay.words.count(LinkMessageType.STEPS) == 1, "steps without a change are sent once"
     late = Progress(theirs, "odom", lambda number, feedback: None)
-    packed = packed_steps.pack(sent.feedback.feedback.steps)
-    assert packed is not None
+    packed = some(packed_steps.pack(sent.feedback.feedback.steps))
     before = len(relay.plans)
     late.plan(0, pack_feedback(sent, packed))
     late.steps(packed)

@@ -12,6 +12,7 @@ import pytest
 
 from harness.generated_robot import Build, mjcf
 from harness.places import ROBOTS
+from harness.waiting import some
 from valor.common.errors import ConfigurationError
 from valor.robot.checks.folder import examine
 from valor.robot.description import RobotDescription
@@ -45,8 +46,7 @@ def named(root: Root, tag: str, start: str) -> Root:
 
 def drive(root: Root, joint: str, instead: str | None = None) -> None:
     """Add a motor to a joint, or move there that of another joint."""
-    actuators = root.find("actuator")
-    assert actuators is not None
+    actuators = some(root.find("actuator"))
     if instead is None:
         ElementTree.SubElement(actuators, "motor", joint=joint, ctrlrange="-20 20")
     else:
@@ -65,8 +65,7 @@ def test_a_leg_is_measured_from_an_oblique_hip(tmp_path: Path) -> None:
 
 def test_a_motor_geared_to_a_knee_is_replaced_by_the_knee(tmp_path: Path) -> None:
     def change(root: Root) -> None:
-        equality = root.find("equality")
-        assert equality is not None
+        equality = some(root.find("equality"))
         for side in ("left", "right"):
             knee = named(root, "joint", f"{side}_knee").get("name", "")
             rotor = ElementTree.SubElement(named(root, "body", f"{side}_thigh"), "body", name=f"{side}_rotor")
@@ -121,8 +120,7 @@ def test_sprung_joints_are_passive_in_a_model_without_actuators(tmp_path: Path) 
 
 def test_soles_are_what_both_feet_have(tmp_path: Path) -> None:
     def change(root: Root) -> None:
-        foot = root.find(".//body[@name='right_foot']/geom")
-        assert foot is not None
+        foot = some(root.find(".//body[@name='right_foot']/geom"))
         x, y, z = foot.get("size", "").split()
         foot.set("size", f"{x} {0.6 * float(y)} {z}")
 
@@ -201,8 +199,7 @@ def test_collada_and_text_stl_are_read(tmp_path: Path) -> None:
         "one.stl": {(0, 0, 0), (1, 0, 0), (0, 1, 0)},
     }
     for name, points in wanted.items():
-        content = converted(tmp_path / name)
-        assert content is not None
+        content = some(converted(tmp_path / name))
         records = np.frombuffer(content[84:], dtype=[("floats", "<f4", (4, 3)), ("more", "<u2")])
         scale = 100 if name == "square.DAE" else 1
         found = {tuple(np.round(scale * each).astype(int)) for each in records["floats"][:, 1:].reshape(-1, 3)}

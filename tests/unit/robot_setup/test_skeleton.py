@@ -29,8 +29,7 @@ def test_roles_and_soles_are_those_of_the_robots_own_file(name: str) -> None:
     assert (seen.name(seen.pelvis), seen.name(seen.chest)) == (tables.base, tables.chest)
     for side in ("left", "right"):
         assert seen.name(seen.legs[side].end) == getattr(tables.feet, side).body
-        assert tables.hands is not None
-        assert seen.name(seen.arms[side].end) == getattr(tables.hands, side).body
+        assert tables.hands is not None and seen.name(seen.arms[side].end) == getattr(tables.hands, side).body
         own = getattr(tables.feet, side)
         edges = (soles[side].heel, soles[side].toe, soles[side].half_width)
         assert edges == pytest.approx((own.heel, own.toe, own.half_width), abs=1e-3)

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from harness.closed_loop import ClosedLoop
+from harness.waiting import some
 from valor.common import rotation
 from valor.robot.description import RobotDescription
 from valor.robot.soles import Point, convex_hull, distance_outside
@@ -98,8 +99,7 @@ def turned(state: RobotState, tilt: float) -> RobotState:
 def test_tilt(robot: RobotDescription, standing: RobotState) -> None:
     limit = robot.read(Tuning).fall.tilt
     assert FallDetector(robot).update(turned(standing, limit - 0.01)) is None
-    reason = FallDetector(robot).update(turned(standing, limit + 0.02))
-    assert reason is not None
+    reason = some(FallDetector(robot).update(turned(standing, limit + 0.02)))
     assert reason.startswith("pelvis tilted")
     assert f"limit {np.degrees(limit):.0f}°" in reason
 
@@ -118,8 +118,7 @@ def test_dcm_outside_the_polygon_for_long_enough(robot: RobotDescription, standi
     assert detector.update(dcm_at(robot, standing, margin - 0.005, 2)) is None
     assert detector.update(dcm_at(robot, standing, margin + 0.005, 4)) is None
     assert detector.update(dcm_at(robot, standing, margin + 0.005, 4 + duration - 2)) is None
-    reason = detector.update(dcm_at(robot, standing, margin + 0.005, 4 + duration))
-    assert reason is not None
+    reason = some(detector.update(dcm_at(robot, standing, margin + 0.005, 4 + duration)))
     assert reason.startswith(f"DCM {margin + 0.005:.3f} m outside the support polygon")
     assert reason.endswith(f"limit {margin:.3f} m")
 
