@@ -39,8 +39,7 @@ def test_nodes_find_each_other_in_any_order_of_start(two_computers: BifrostNetwo
     assert client.call(Question("open", 0.0), timeout=60.0).text == "open for test"
     graph = node.graph(10.0)
     [publisher] = graph.topics["lab/sample"].publishers
-    assert publisher.computer == "far"
-    assert publisher.endpoint.startswith("tcp://127.0.0.2:")
+    assert publisher.computer == "far" and publisher.endpoint.startswith("tcp://127.0.0.2:")
     watching = net.node("watching", "far")
     until(lambda: names(watching) == {"publish_peer", "serve_peer", "test", "watching"}, "far lists all nodes of near")
 
@@ -96,8 +95,7 @@ def test_data_flows_without_a_daemon_and_nodes_find_each_other_again(
     until(lambda: names(node) == {"publish_peer", "serve_peer", "test", "newcomer"}, "all are registered again")
     while subscriber.drain():
         pass
-    assert subscriber.receive(timeout=60.0) is not None
-    assert subscriber.drops == 0
+    assert subscriber.receive(timeout=60.0) is not None and subscriber.drops == 0
 
 
 def test_a_stopped_daemon_is_unreachable_until_it_continues(two_computers: BifrostNetwork) -> None:

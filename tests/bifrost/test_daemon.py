@@ -51,8 +51,7 @@ def test_recall_finds_the_nodes_of_the_last_daemon(own_net: BifrostNetwork) -> N
 @pytest.mark.parametrize("content", [b"", b"\xc1", b"\x91" * 100_000, b'{"type": "table"}'], ids=repr)
 def test_an_invalid_table_on_disk_is_ignored(tmp_path: Path, content: bytes) -> None:
     network = bifrost.Network.create(tmp_path / "network.json", tmp_path / "keys")
-    assert recall(network) == []
-    assert network.table_cache is not None
+    assert recall(network) == [] and network.table_cache is not None
     network.table_cache.write_bytes(content)
     assert recall(network) == []
 
@@ -68,14 +67,12 @@ def test_a_restarted_daemon_with_an_empty_table_ends_no_connection(own_net: Bifr
     until(lambda: {"test", "watching"} <= names(watching), "the others have registered again")
     subscriber.drain()
     peer.signal(signal.SIGCONT)
-    assert subscriber.receive(timeout=60.0) is not None
-    assert subscriber.drops == 0
+    assert subscriber.receive(timeout=60.0) is not None and subscriber.drops == 0
 
 
 def test_the_daemon_reports_its_status(own_net: BifrostNetwork) -> None:
     info = bifrost.daemon_alive(own_net.network, timeout=5.0)
-    assert info is not None and info.pid == own_net.daemon.pid
-    assert info.uptime > 0.0
+    assert info is not None and info.pid == own_net.daemon.pid and info.uptime > 0.0
     assert 1.0 < info.memory_mib < 200.0
     own_net.kill_daemon()
     assert bifrost.daemon_alive(own_net.network, timeout=0.2) is None
@@ -100,6 +97,5 @@ def test_a_daemon_that_cannot_start_gives_the_reason_in_one_line(net: BifrostNet
     assert taken.stderr.count("\n") == 1
     assert f"cannot listen on {net.network.computer.daemon}: Address already in use" in taken.stderr
     missing = run_daemon(net.environment() | {"BIFROST_NETWORK": str(tmp_path / "none.json")})
-    assert missing.returncode == 78
-    assert "none.json: no such network file" in missing.stderr
+    assert missing.returncode == 78 and "none.json: no such network file" in missing.stderr
     assert missing.stderr.count("\n") == 1

@@ -102,8 +102,7 @@ class Party:
 
     def assert_served(self) -> None:
         """Every process lives; every message has come; a call is answered; a newcomer receives the publisher soon."""
-        assert self.net.daemon.poll() is None
-        assert self.publisher.alive() and self.server.alive()
+        assert self.net.daemon.poll() is None and self.publisher.alive() and self.server.alive()
         for received in self.subscriber.drain():
             assert received.sequence == self.last + 1
             self.last = received.sequence
@@ -283,8 +282,7 @@ def test_a_replayed_handshake_gets_nothing(party: Party) -> None:
                 while more := connection.recv(4096):
                     answer += more
             assert len(answer) >= GREETING + WELCOME  # it was listened to so far
-            assert len(answer) <= GREETING + WELCOME + 64
-            assert b"READY" not in answer
+            assert len(answer) <= GREETING + WELCOME + 64 and b"READY" not in answer
     party.assert_served()
 
 

@@ -36,10 +36,8 @@ def test_latest_gives_the_newest_and_queue_gives_all(net: BifrostNetwork) -> Non
     assert [r.sequence for r in everything] == list(range(first + 1, last + 1))
     newest = until(lambda: (r := latest.latest()) and r.sequence == last and r, "the newest")
     assert newest.message == sample(100)
-    assert latest.latest() is None
-    assert latest.receive(timeout=0.0) is None
-    assert latest.receive(timeout=0.05) is None
-    assert latest.drain() == []
+    assert latest.latest() is None and latest.receive(timeout=0.0) is None
+    assert latest.receive(timeout=0.05) is None and latest.drain() == []
     assert (queue.drops, latest.drops) == (0, 0)
 
 
@@ -62,8 +60,7 @@ def test_drops_of_a_full_queue_are_counted(net: BifrostNetwork) -> None:
         return False
 
     until(drained, "the message after the flood")
-    assert subscriber.drops > 0
-    assert received + subscriber.drops == last - first
+    assert subscriber.drops > 0 and received + subscriber.drops == last - first
 
 
 def test_a_killed_publisher_is_replaced_without_a_gap(net: BifrostNetwork) -> None:
@@ -142,8 +139,7 @@ def test_a_late_subscriber_gets_the_last_latched_message_once(net: BifrostNetwor
     for subscriber in everybody:
         received = subscriber.receive(timeout=60.0)
         assert received is not None and received.sequence == 7
-        assert subscriber.receive(timeout=0.1) is None
-        assert (subscriber.drops, subscriber.rejected) == (0, 0)
+        assert subscriber.receive(timeout=0.1) is None and (subscriber.drops, subscriber.rejected) == (0, 0)
     publisher.close()
     assert net.node("too_late").subscriber("lab/sample", Sample).receive(timeout=0.3) is None
 
@@ -221,8 +217,7 @@ def test_a_stopped_subscriber_does_not_delay_the_publisher(net: BifrostNetwork) 
     last = publisher.publish(sample(2))
     peer.signal(signal.SIGCONT)
     assert disturbed < 5.0 * undisturbed + 20e-6
-    assert sequences(witness, last) == list(range(first + 1, last + 1))
-    assert witness.drops == 0
+    assert sequences(witness, last) == list(range(first + 1, last + 1)) and witness.drops == 0
 
 
 def test_closing_gives_everything_back(net: BifrostNetwork) -> None:

@@ -48,13 +48,11 @@ def test_stands_passively(instance: RunningInstance) -> None:
     with client_process(instance):
         settled = watch.truth_at(5.0)
         truth, state, clock = watch.truth_at(10.0, timeout=400.0), proprioceptor(), watch.clock()
-    assert upright(truth)
-    assert np.abs(truth.com_in_world - settled.com_in_world).max() < 0.002
+    assert upright(truth) and np.abs(truth.com_in_world - settled.com_in_world).max() < 0.002
     assert np.abs(state.joint_velocity).max() < 0.2
     total = state.left_foot_wrench[2] + state.right_foot_wrench[2]
     assert total == pytest.approx(WEIGHT, rel=0.06)
-    assert clock.waits_timed_out == 0
-    assert not clock.holding
+    assert clock.waits_timed_out == 0 and not clock.holding
 
 
 def test_nothing_moves_before_the_first_motor(instance: RunningInstance) -> None:
@@ -69,8 +67,7 @@ def test_nothing_moves_before_the_first_motor(instance: RunningInstance) -> None
     assert not watch.clock().holding
     np.testing.assert_allclose(first.joint_position, ROBOT.nominal_posture, atol=0.002)
     refused = Pusher(node)(10.0, 0.0, 0.0)
-    assert not refused.accepted
-    assert "has not started" in refused.reason
+    assert not refused.accepted and "has not started" in refused.reason
     assert client.run_to(0.1).sequence == first.sequence + 50
 
 
@@ -98,8 +95,7 @@ def test_lockstep_repeats_bit_for_bit(instance: RunningInstance) -> None:
                              "right_foot_wrench", "left_hand_wrench", "right_hand_wrench")
             ]  # fmt: skip
         runs.append(states)
-    assert len(runs[0]) == 501
-    assert runs[0] == runs[1]
+    assert len(runs[0]) == 501 and runs[0] == runs[1]
 
 
 def test_lockstep_is_paced_to_real_time(instance: RunningInstance) -> None:
@@ -130,8 +126,7 @@ def test_silence_holds_the_joints_and_a_new_motor_ends_it(instance: RunningInsta
     assert upright(held)
     # Robot time goes on, at the wall's pace although none was set, and the robot stands.
     later = watch.truth_at(held.time * 1e-9 + 2)
-    assert upright(later)
-    assert np.abs(later.joint_position - held.joint_position).max() < 0.05
+    assert upright(later) and np.abs(later.joint_position - held.joint_position).max() < 0.05
     assert client.hear().motor_sequence == sent
     assert "held" in instance.log("comms_manager")
     wait_until(lambda: watch.statistics().detail == f"{MOTOR.name}: silent", 30, "who is silent is named")
@@ -185,8 +180,7 @@ def test_a_push_moves_the_robot_and_bad_ones_are_refused(instance: RunningInstan
             ((1, 0, 0), 2.1, "up to 2"),
         ):
             reply = push(*impulse, duration=duration)
-            assert not reply.accepted
-            assert reason in reply.reason
+            assert not reply.accepted and reason in reply.reason
         quiet = watch.truth()
         assert np.abs(quiet.com_in_world - before.com_in_world).max() < 0.002
         reply = push(0.0, 8.0, 0.0)
@@ -197,8 +191,7 @@ def test_a_push_moves_the_robot_and_bad_ones_are_refused(instance: RunningInstan
         )
         assert moved.time < reply.time + 1e9
         back = watch.truth_at(reply.time * 1e-9 + 4)
-        assert upright(back)
-        assert abs(back.com_in_world[1] - quiet.com_in_world[1]) < 0.003
+        assert upright(back) and abs(back.com_in_world[1] - quiet.com_in_world[1]) < 0.003
 
 
 @pytest.mark.parametrize("clock", ["lockstep", "realtime"])
@@ -258,8 +251,7 @@ def test_stops_when_requested_while_standing_by_waiting_and_running(instance: Ru
     start(instance)
     client = ServoClient(instance.node(), ROBOT)
     client.run_to(0.2)
-    assert instance.stop("comms_manager") == 0
-    assert "Traceback" not in instance.log("comms_manager")
+    assert instance.stop("comms_manager") == 0 and "Traceback" not in instance.log("comms_manager")
 
 
 def test_time_is_paused_stepped_slowed_down_and_a_stop_lets_it_pass(instance: RunningInstance) -> None:

@@ -38,8 +38,7 @@ def test_opens_the_door_and_leaves_a_bag_a_report_and_nothing_else(system: Syste
 def test_a_fixture_that_is_shut_is_left_alone_with_the_reason_and_the_robot_stands_on(task: str) -> None:
     robot = TaskRobot(load_robot(), "hardware", 0, task, shut=True)
     outcome = robot.do()
-    assert not outcome.done
-    assert not outcome.fell
+    assert not outcome.done and not outcome.fell
     assert re.fullmatch(rf".*: {robot.plan.resisted}: it presses with \d+ N; expected at most 60 N", outcome.reason)
     assert outcome.states[-3][1] == "resisted"
     assert [name for name, _ in outcome.states[-2:]] == ["back", "off"]

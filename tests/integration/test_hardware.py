@@ -87,8 +87,7 @@ def test_duplicates_are_refused_and_harm_nobody(standing: Bench) -> None:
     before = standing.unit("legs/3")[2]
     standing.fail("legs/3", "duplicate")
     wait_until(lambda: standing.unit("legs/3")[2] > before + 20, PATIENCE, "duplicates are counted")
-    assert standing.unit("legs/3")[0] == "ok"
-    assert standing.behavior == "stand"
+    assert standing.unit("legs/3")[0] == "ok" and standing.behavior == "stand"
 
 
 @pytest.mark.parametrize(

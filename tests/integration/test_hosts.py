@@ -76,8 +76,7 @@ def left(trio: Hosts) -> list[str]:
 
 def test_a_host_has_the_keys_of_its_own_processes_only(up: Hosts) -> None:
     owners = {name: {file.name for file in (up.home(name) / "trio/owners").iterdir()} for name in up.network.addresses}
-    assert owners["perception"] == {"bifrostd", "footstep_converter"}
-    assert owners["motion"] == {"bifrostd"}
+    assert owners["perception"] == {"bifrostd", "footstep_converter"} and owners["motion"] == {"bifrostd"}
     modes = {file.stat().st_mode & 0o077 for name in up.network.addresses for file in up.home(name).glob("trio/**/*")}
     assert modes == {0}, "other users can read the instance's files"
 
@@ -211,8 +210,7 @@ def test_a_host_without_power_resumes_a_run_that_continues_and_none_that_is_over
         wait_until(ready, 60.0, "its part is started again", 0.5)
     up.cut_power("perception")
     assert "perception" in up.valorctl("operator", "down", expect=1)
-    assert "its run is over" in up.restore_power("perception")
-    assert up.left("perception") == []
+    assert "its run is over" in up.restore_power("perception") and up.left("perception") == []
     looked = up.valorctl("operator", "doctor", "--deployment", str(up.file), expect=1)
     assert "trio has settings, but its supervisor does not respond" in looked
 

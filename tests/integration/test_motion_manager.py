@@ -74,9 +74,7 @@ def test_takes_a_footstep_plan_changes_it_on_the_way_and_stands(system: MotionSy
     far = footsteps(0, 4, 0.0)
     far[2].position_in_odom[0] += 1.0
     refused = system.plan(far)
-    assert not refused.accepted
-    assert "step 2 (left)" in refused.reason
-    assert "forward" in refused.reason
+    assert not refused.accepted and "step 2 (left)" in refused.reason and "forward" in refused.reason
     assert "starts with step 0" in system.plan(footsteps(1, 2, 0.0)).reason
     before = system.place()
     assert system.pass_time(0.3).behavior == Behavior.STEP
@@ -101,14 +99,11 @@ def test_takes_a_footstep_plan_changes_it_on_the_way_and_stands(system: MotionSy
     assert finished
     assert (finished.last_performed_step_index, finished.queue_size, finished.executing_step_index) == (5, 0, -1)
     seen = [status.executing_step_index for status in system.statuses if status.executing_step_index >= 0]
-    assert sorted(set(seen)) == list(range(6))
-    assert seen == sorted(seen)
+    assert sorted(set(seen)) == list(range(6)) and seen == sorted(seen)
     wait_until(lambda: still(system.look() or system.pass_time(0.1)), 60.0, "standing still")
     way = system.place() - before
-    assert way[0] == pytest.approx(5 * STEP_LENGTH, abs=0.05)
-    assert abs(way[1]) < 0.05
-    assert system.height > STANDING
-    assert "fall" not in system.behaviors()
+    assert way[0] == pytest.approx(5 * STEP_LENGTH, abs=0.05) and abs(way[1]) < 0.05
+    assert system.height > STANDING and "fall" not in system.behaviors()
 
 
 def test_walks_by_velocity_and_stops_when_nobody_commands(system: MotionSystem) -> None:
@@ -121,9 +116,7 @@ def test_walks_by_velocity_and_stops_when_nobody_commands(system: MotionSystem) 
     assert still(state)
     assert state.behavior == Behavior.WALK  # and waits for the next velocity
     way, believed = system.place() - before, state.pelvis_position_in_odom - estimated
-    assert 1.2 < way[0] < 2.6
-    assert abs(way[1]) < 0.2
-    assert np.abs(believed - way).max() < 0.1
+    assert 1.2 < way[0] < 2.6 and abs(way[1]) < 0.2 and np.abs(believed - way).max() < 0.1
     assert system.request("stand").accepted
     system.wait_behavior(Behavior.STAND)
     assert system.height > STANDING
@@ -147,8 +140,7 @@ def test_escher_gets_ready_stands_gives_its_arms_away_and_takes_them_back(system
         lambda state: bool(np.allclose(state.joint_setpoint[ARM_PLACES], ROBOT.nominal_posture[ARM_PLACES], atol=0.05)),
         "the right arm at home",
     )
-    assert system.height > STANDING
-    assert system.behaviors()[-3:] == ["stand", "stand_manipulate", "stand"]
+    assert system.height > STANDING and system.behaviors()[-3:] == ["stand", "stand_manipulate", "stand"]
     assert not any(state.qp_failures for state in system.history)
     arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm")))
     elapsed, steps = largest_steps(system.history, arms)
@@ -175,8 +167,7 @@ def test_commands_are_refused_with_their_reasons_and_the_robot_stands_on(system:
     reply = system._footsteps.call(
         FootstepPlanRequest(steps=[Footstep(1, 0, np.zeros(3), np.array([1.0, 0, 0, 0]), 0.0, 0.0, 0.0)]), timeout=10.0
     )
-    assert not reply.accepted
-    assert "step_manipulate; the behavior is stand" in reply.reason
+    assert not reply.accepted and "step_manipulate; the behavior is stand" in reply.reason
     after = system.pass_time(0.5)
     assert after.behavior == Behavior.STAND
     arms = np.concatenate((ARM_PLACES, ROBOT.group_indices("left_arm"), ROBOT.group_indices("neck")))
@@ -227,8 +218,7 @@ def test_a_process_that_stands_still_for_a_moment_is_no_fall(system: MotionSyste
     finally:
         process.send_signal(signal.SIGCONT)
     system.pass_time(1.0)
-    assert set(system.behaviors()) <= {"stand_prep", "stand"}
-    assert system.height > STANDING
+    assert set(system.behaviors()) <= {"stand_prep", "stand"} and system.height > STANDING
 
 
 def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(system: MotionSystem) -> None:
@@ -243,8 +233,7 @@ def test_proprioceptors_of_another_node_are_not_taken_for_the_robot(system: Moti
         return any("comes from player; expected comms_manager" in rejection.reason for rejection in system.rejections)
 
     wait_until(play, 20.0, "the replay refused")
-    assert system.pass_time(1.0).behavior == Behavior.STAND
-    assert system.height > STANDING
+    assert system.pass_time(1.0).behavior == Behavior.STAND and system.height > STANDING
 
 
 def test_who_floods_is_named_and_muted_while_the_motors_go_on(system: MotionSystem) -> None:
@@ -278,8 +267,7 @@ def test_who_floods_is_named_and_muted_while_the_motors_go_on(system: MotionSyst
         thread.join()
     periods = np.diff([state.proprioceptor_sequence for state in system.history])
     assert periods.max() <= MISSED, f"{periods.max()} periods without a Motor"
-    assert system.go(Behavior.STAND).behavior == Behavior.STAND
-    assert system.height > STANDING
+    assert system.go(Behavior.STAND).behavior == Behavior.STAND and system.height > STANDING
 
 
 def test_pushed_over_the_robot_goes_limp_and_stays_fallen(started: MotionSystem) -> None:
@@ -294,8 +282,7 @@ def test_pushed_over_the_robot_goes_limp_and_stays_fallen(started: MotionSystem)
     system.pass_time(3.0)
     assert system.height < 0.5
     motor = wait_until(system.motors.latest, 10.0, "a Motor").message
-    assert not motor.effort.any()
-    assert not motor.stiffness.any()
+    assert not motor.effort.any() and not motor.stiffness.any()
     assert set(motor.mode) <= {JointMode.FORCE, JointMode.OFF}
     for behavior in ("stand", "stand_prep", "stand_manipulate", "idle"):
         assert not system.request(behavior).accepted

@@ -129,8 +129,7 @@ def let_go_by_the_reflex(system: MotionSystem, measured: Subscriber[Propriocepto
     assert (reply.accepted, reply.behavior) == (True, "fall")
     wait_until(lambda: last_led_by(measured) == "fall", 30.0, "what was asked for")
     sinking = [wait_until(measured.latest, 20.0, "a Proprioceptor").message for _ in range(10)]
-    assert {each.motor_behavior for each in sinking} == {"fall"}
-    assert driven(sinking[5:]) < FALLING
+    assert {each.motor_behavior for each in sinking} == {"fall"} and driven(sinking[5:]) < FALLING
     instance.start("motion_manager", wait=True)
     assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason
 
@@ -168,8 +167,7 @@ def test_whoever_is_killed_or_stopped_in_the_middle_of_a_step_the_robot_comes_to
         what()
         reason = system.wait_behavior(Behavior.FREEZE).reason
         assert any(expected in reason for expected in reasons), reason
-        assert system.pass_time(1.0).behavior == Behavior.FREEZE
-        assert system.height > STANDING
+        assert system.pass_time(1.0).behavior == Behavior.FREEZE and system.height > STANDING
     assert "it stands, after" in instance.log("comms_manager")
 
     let_go_by_the_reflex(system, measured)

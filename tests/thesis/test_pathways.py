@@ -54,8 +54,7 @@ def test_a_driver_s_messages_name_what_they_carry(driven: Latencies, found: Late
     assert driven.driven
     assert not found.driven
     carried, acted = driven["Motor → HDT Cmd."], driven["HDT Cmd. → Prop."]
-    assert len(carried.by_stamps) == 600
-    assert carried.by_stamps == pytest.approx(known.TO_DRIVER, abs=2e-6)
+    assert len(carried.by_stamps) == 600 and carried.by_stamps == pytest.approx(known.TO_DRIVER, abs=2e-6)
     # The state comes at once with its positions, in the next Proprioceptor.
     left = known.TO_MOTOR + known.TO_DRIVER
     assert len(acted.by_stamps) >= 595
@@ -67,8 +66,7 @@ def test_a_driver_s_messages_name_what_they_carry(driven: Latencies, found: Late
 
 def test_the_first_milliradian_is_later_than_the_messages_by_the_motion_s_own_beginning(found: Latencies) -> None:
     first = found.first
-    assert len(first.vec) == 2
-    assert (first.motor - first.vec).mean() == pytest.approx(known.THROUGH, abs=0.003)
+    assert len(first.vec) == 2 and (first.motor - first.vec).mean() == pytest.approx(known.THROUGH, abs=0.003)
     late = known.OBEYED * known.PERIOD - known.TO_MOTOR + known.PLANT
     assert (first.measured - first.motor).mean() == pytest.approx(late, abs=0.003)
 
@@ -96,8 +94,7 @@ def test_a_conversion_costs_at_most_what_its_transport_leaves(found: Latencies) 
     floors = {"ros": np.array([4e-4, 2e-4, 9e-4]), "bifrost": np.array([3e-4, 1e-4, 4e-4])}
     costs = {each.segment.name: each for each in conversions(found, floors)}
     states = costs["Prop. → JS"]
-    assert states.transport == "bifrost"
-    assert states.mean == pytest.approx(known.TO_STATES - 1e-4, abs=1e-6)
+    assert states.transport == "bifrost" and states.mean == pytest.approx(known.TO_STATES - 1e-4, abs=1e-6)
     assert states.median == pytest.approx(known.TO_STATES - 1e-4, abs=1e-6)
     mode = costs["Mode change cmd."]
     assert (mode.transport, costs["Reference → VEC"].transport) == ("ros", "ros")

@@ -82,16 +82,14 @@ def test_a_report_is_markdown_with_figures_and_a_page_that_needs_no_other_file(t
         assert copied.tobytes() == drawn.convert("RGB").tobytes()
 
     shown = Page(file)
-    assert shown.links == shown.anchors
-    assert len(shown.anchors) == 3
+    assert shown.links == shown.anchors and len(shown.anchors) == 3
     assert shown.images == [(tmp_path / "out" / "a.webp").read_bytes()] * 2
     for words in ("What <one> costs", "Done & said.", "12.3", "A *picture*.", "Figure 5.1", "valorctl experiment two",
                   "Not run: there is no folder", "valorctl experiment all", "load"):  # fmt: skip
         assert words in shown.text
 
     written = text.read_text()
-    assert "![A \\*picture\\*.](a.webp)" in written
-    assert "| a | 12.3 | ms | 40 | slower |" in written
+    assert "![A \\*picture\\*.](a.webp)" in written and "| a | 12.3 | ms | 40 | slower |" in written
     assert "| name | value |\n| --- | --: |\n| x | 1 |" in written
     assert "\n    valorctl experiment all\n" in written
     (tmp_path / "file").write_text("")
@@ -121,8 +119,7 @@ def test_a_failed_or_broken_experiment_costs_only_its_own_chapter(tmp_path: Path
         "Its result cannot be read", f"Not shown: {tmp_path / 'faded' / 'gone.png'}: No such file",
         "b.png: not a picture", "c.png: not a picture", f"there is no folder {tmp_path / 'absent'}",
     ):  # fmt: skip
-        assert words in shown.text
-        assert words in written
+        assert words in shown.text and words in written
 
 
 def test_an_unreadable_result_or_failure_is_named(tmp_path: Path) -> None:
@@ -165,8 +162,7 @@ def test_processes_are_measured_as_busy_as_they_are(tmp_path: Path) -> None:
     assert begun - before < 0.5 and last - begun - 0.2 <= seconds <= last - before + 0.2
     assert 1.0 < usage.memory.mean() < 100.0
     rows = write_csv({"busy": usage}, tmp_path / "usage.csv").read_text().splitlines()
-    assert rows[0] == "process,time_s,cpu_percent,memory_mib"
-    assert len(rows) == 1 + len(usage.time)
+    assert rows[0] == "process,time_s,cpu_percent,memory_mib" and len(rows) == 1 + len(usage.time)
     with pytest.raises(SignalError, match="busy: ended"):
         sampler.sample()
     with pytest.raises(SignalError, match="gone: no process"):
@@ -182,8 +178,7 @@ def test_a_joints_signals_from_goal_to_encoder(tmp_path: Path) -> None:
     elbow = JointSignals.of(recording, timeline, "r_elbow_pitch")
     assert elbow.response is not None
     assert 0.0 < elbow.response.seconds < 0.3  # the servo follows its command
-    assert abs(elbow.final_error(timeline)) < 0.02
-    assert 0.001 < elbow.largest_error() < 0.3
+    assert abs(elbow.final_error(timeline)) < 0.02 and 0.001 < elbow.largest_error() < 0.3
     assert np.nanmax(elbow.reference[1]) == goal["r_elbow_pitch"]
     look = JointSignals.of(recording, timeline, "neck_yaw")
     assert draw(recording, [elbow, look], "velocity", "Two", tmp_path / "two.png").stat().st_size > 10_000

@@ -154,8 +154,7 @@ def test_before_and_after_differ_where_the_arm_moved(bag: Bag, tmp_path: Path) -
     (path,) = before_after.render_before_after(bag, ROBOT, tmp_path / "out")
     image = read(path)
     width, height = before_after.PANEL
-    assert image.shape[1] == 2 * width
-    assert image.shape[0] > height
+    assert image.shape[1] == 2 * width and image.shape[0] > height
     before, after = panels(path)
     for panel in (before, after):
         assert panel.std() > 0.1  # a robot, not a wall
@@ -232,5 +231,4 @@ def test_what_another_reports_of_itself_is_not_taken_for_the_recorders_word(tmp_
         writer.add_message(writer.register_channel("/words", "cdr", text), 1, b"\0\1\0\0\2\0\0\0a\0", 1)
         writer.finish()
     stored = StoredBag(path)
-    assert len(list(stored.messages())) == 1
-    assert stored.condition.origin == {"robot": "escher"}
+    assert len(list(stored.messages())) == 1 and stored.condition.origin == {"robot": "escher"}

@@ -214,6 +214,5 @@ def test_the_table_shows_the_same(report: tuple[WalkMetrics, Timeliness]) -> Non
     shown = dict(rows(*report))
     assert shown["smallest knee angle"] == "0.40 rad"
     assert shown["DCM error, rms"].startswith("3.0, 4.0, 0.0 mm")
-    assert shown["deadlines missed"] == f"{LATE} of {COUNT}"
-    assert shown["solver failures"] == "1"
+    assert shown["deadlines missed"] == f"{LATE} of {COUNT}" and shown["solver failures"] == "1"
     assert shown["clock slip"] == "0.50 s"

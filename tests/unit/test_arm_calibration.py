@@ -45,8 +45,7 @@ def test_the_file_is_read_back_and_keeps_the_other_arm(robot: RobotDescription) 
     write(robot, left_arm=found(robot, "left"))
     write(robot, right_arm=found(robot, "right", friction=4.0))
     table = some(arm_calibration.load(robot))
-    assert table.left_arm == found(robot, "left")
-    assert table.right_arm == found(robot, "right", friction=4.0)
+    assert table.left_arm == found(robot, "left") and table.right_arm == found(robot, "right", friction=4.0)
     assert [group for group, _ in table.present()] == ["left_arm", "right_arm"]
     assert not examine(robot.folder).faults
     assert [file.name for file in (robot.folder / "calibration").iterdir()] == ["arms.yaml"]
@@ -95,8 +94,7 @@ def test_an_invalid_key_is_rejected_with_file_and_line(
     file.write_text(content.replace(old, new, 1))
     with pytest.raises(ConfigurationError, match=r"arms\.yaml:\d+:\d+: ") as caught:
         controller_model(robot)
-    assert reported in str(caught.value)
-    assert len(str(caught.value).splitlines()) == 1
+    assert reported in str(caught.value) and len(str(caught.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize(

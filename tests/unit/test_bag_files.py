@@ -140,8 +140,7 @@ def test_the_splits_of_a_recording_are_one_bag_in_their_order(tmp_path: Path) ->
     assert rosbag2_metadata.write(folder) == folder / "metadata.yaml"
     assert "&" not in (folder / "metadata.yaml").read_text()
     with Reader(folder) as reader:
-        assert reader.message_count == 5 + 2 * 4 + 3
-        assert (reader.start_time, reader.end_time) == (1000, 3003)
+        assert reader.message_count == 5 + 2 * 4 + 3 and (reader.start_time, reader.end_time) == (1000, 3003)
         assert {each.topic: each.msgcount for each in reader.connections} == {"/numbers": 7, "/words": 9}
         (words,) = (each for each in reader.connections if each.topic == "/words")
         assert words.ext.offered_qos_profiles[0].durability == QosDurability.TRANSIENT_LOCAL
@@ -160,8 +159,7 @@ def test_a_file_that_is_not_a_bag_is_reported_in_one_line(content: bytes, tmp_pa
         summarize(file)
     assert rosbag2_metadata.write(file.parent) is None
     bag(tmp_path / "a" / "a.mcap", 1, 1, (WORDS,), close=False)
-    assert rosbag2_metadata.write(tmp_path / "a") is None
-    assert not (tmp_path / "a" / "metadata.yaml").exists()
+    assert rosbag2_metadata.write(tmp_path / "a") is None and not (tmp_path / "a" / "metadata.yaml").exists()
 
 
 def test_the_metadata_lists_events(tmp_path: Path) -> None:

@@ -86,13 +86,11 @@ def test_a_bag_cut_anywhere_keeps_all_complete_chunks(tmp_path: Path, data: st.D
 
     found = recover(path)
     kept = read(path)
-    assert not found.finished
-    assert found.messages == len(kept)
+    assert not found.finished and found.messages == len(kept)
     assert kept == messages[: len(kept)]
     assert len(kept) >= max((count for end, count in flushed if end <= cut), default=0)
     whole = path.read_bytes()
-    assert recover(path).finished
-    assert path.read_bytes() == whole
+    assert recover(path).finished and path.read_bytes() == whole
 
 
 @examples(40, HealthCheck.function_scoped_fixture)
@@ -115,8 +113,7 @@ def test_recovery_cuts_at_the_first_damaged_chunk(tmp_path: Path) -> None:
     damaged = bytearray(path.read_bytes())
     damaged[flushed[1][0] + 60] ^= 0xFF  # within the second chunk
     path.write_bytes(damaged)
-    assert recover(path).messages == 2
-    assert read(path) == messages[:2]
+    assert recover(path).messages == 2 and read(path) == messages[:2]
 
 
 def test_a_bag_being_recorded_is_unchanged(tmp_path: Path) -> None:

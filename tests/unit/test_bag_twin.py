@@ -68,8 +68,7 @@ def test_every_message_equals_its_ros_mirror(typestore: Any, data: st.DataObject
     ros_type = getattr(importlib.import_module("valor_msgs.msg"), message_type.__name__)
     for twin in (deserialize_message(encoded, ros_type), typestore.deserialize_cdr(encoded, twin_type(message_type))):
         assert twin.header.stamp.sec * SECOND + twin.header.stamp.nanosec == stamp
-        assert twin.header.frame_id == origin
-        assert twin.bifrost_sequence == sequence
+        assert twin.header.frame_id == origin and twin.bifrost_sequence == sequence
         for name in message_type.__struct_fields__:
             assert same(getattr(message, name), getattr(twin, name)), name
     assert bytes(typestore.serialize_cdr(twin, twin_type(message_type))) == encoded

@@ -58,8 +58,7 @@ def test_a_robot_that_stands_is_given_back_soon(reflex: BalanceReflex) -> None:
         motor = reflex.update(robot.proprioceptor())
         robot.check(motor)
         assert motor.behavior == REFLEX
-    assert reflex.outcome.startswith("it stands")
-    assert reflex.time < 1.0
+    assert reflex.outcome.startswith("it stands") and reflex.time < 1.0
 
 
 @pytest.mark.parametrize("demand", [{"limp": True}, {}], ids=["devices", "fall"])
@@ -68,8 +67,7 @@ def test_what_cannot_be_balanced_is_let_go(reflex: BalanceReflex, demand: dict[s
     lying = {} if demand else {"imu_orientation": np.array([np.cos(0.5), 0.0, np.sin(0.5), 0.0])}
     motor = reflex.update(robot.proprioceptor(**lying), **demand)
     assert reflex.done
-    assert motor.behavior == Behavior.FALL
-    assert not motor.effort.any() and not motor.stiffness.any()
+    assert motor.behavior == Behavior.FALL and not motor.effort.any() and not motor.stiffness.any()
 
 
 def test_devices_that_demand_to_be_held_are_held_once_both_feet_stand(reflex: BalanceReflex) -> None:

@@ -131,9 +131,7 @@ def test_names_are_spelled_in_one_module() -> None:
 
 @pytest.mark.parametrize("behavior", Behavior)
 def test_every_table_has_every_behavior(behavior: Behavior) -> None:
-    assert behavior in INTERNAL_STATES
-    assert behavior in BEHAVIOR_TRANSITIONS
-    assert behavior in MODES.behaviors
+    assert behavior in INTERNAL_STATES and behavior in BEHAVIOR_TRANSITIONS and behavior in MODES.behaviors
     assert behavior in RESUMED
 
 
@@ -150,8 +148,7 @@ def test_control_modes_are_the_rows_of_their_table() -> None:
 
 @pytest.mark.parametrize("behavior", Behavior)
 def test_what_is_true_of_a_behavior_follows_from_its_internal_states(behavior: Behavior) -> None:
-    assert behavior.operational <= behavior.balancing
-    assert behavior.manipulating <= behavior.operational
+    assert behavior.operational <= behavior.balancing and behavior.manipulating <= behavior.operational
     assert not (behavior.fallen and (behavior.balancing or behavior.stopped))
     assert (behavior in behaviors.STEPPING | behaviors.WALKING) is behavior.locomotion.stepping
     assert behavior.manipulating is behavior.endswith("_manipulate")
@@ -160,8 +157,7 @@ def test_what_is_true_of_a_behavior_follows_from_its_internal_states(behavior: B
 @examples(100)
 @given(st.text(min_size=1))
 def test_the_requester_of_a_change_is_read_from_its_reason(text: str) -> None:
-    assert behaviors.requester(behaviors.requested_by(text)) == text
-    assert behaviors.requester(f" {text}") == ""
+    assert behaviors.requester(behaviors.requested_by(text)) == text and behaviors.requester(f" {text}") == ""
 
 
 # The Behavior FSM: every request and every change in every behavior.
@@ -206,8 +202,7 @@ def test_every_request_and_every_change_in_every_behavior(here: Behavior, there:
         assert "already" in verdict.reason
         assert (fsm.reason, fsm.changes) == before
     elif allowed:
-        assert fsm.reason == "requested by somebody"
-        assert fsm.changes == before[1] + 1
+        assert fsm.reason == "requested by somebody" and fsm.changes == before[1] + 1
     else:
         assert f"no transition from {here} to {there}" in verdict.reason
         assert (fsm.reason, fsm.changes) == before
@@ -218,8 +213,7 @@ def test_stand_is_refused_from_stand_prep_for_each_flaw(flaw: str) -> None:
     fsm = machine_in(Behavior.STAND_PREP)
     verdict = fsm.request(Behavior.STAND, Conditions(**{flaw: "because of the test"}), "somebody")
     assert (verdict.accepted, verdict.reason) == (False, "because of the test")
-    assert fsm.behavior is Behavior.STAND_PREP
-    assert fsm.request(Behavior.STAND, FINE, "somebody").accepted
+    assert fsm.behavior is Behavior.STAND_PREP and fsm.request(Behavior.STAND, FINE, "somebody").accepted
 
 
 def test_no_operational_behavior_is_entered_from_outside_without_a_guard() -> None:

@@ -26,25 +26,21 @@ def test_keys_are_their_owners_alone(paths: tuple[Path, Path]) -> None:
     file, keys = paths
     assert mode(keys) == 0o700
     assert sorted(path.name for path in keys.iterdir()) == ["client.key", "server.key"]
-    assert {mode(path) for path in keys.iterdir()} == {0o600}
-    assert mode(file) == 0o600
+    assert {mode(path) for path in keys.iterdir()} == {0o600} and mode(file) == 0o600
 
 
 def test_what_is_created_is_loaded_and_fresh_each_time(
     paths: tuple[Path, Path], tmp_path: Path, ros_domain: int
 ) -> None:
     loaded = bifrost.Network.load(*paths)
-    assert loaded == bifrost.Network.load(*paths)
-    assert loaded.computer == loaded.computers[0]
+    assert loaded == bifrost.Network.load(*paths) and loaded.computer == loaded.computers[0]
     assert loaded.computer.daemon == f"tcp://127.0.0.1:{loaded.computer.port}"
-    assert loaded.client != loaded.server
-    assert str(loaded.client.secret) not in repr(loaded)
+    assert loaded.client != loaded.server and str(loaded.client.secret) not in repr(loaded)
     other = bifrost.Network.create(tmp_path / "other.json", tmp_path / "other")
     assert other.client.public != loaded.client.public
     ports = daemon_ports(ros_domain)[-3:]
     again = bifrost.Network.create(*paths, ports=ports)
-    assert bifrost.Network.load(*paths) == again
-    assert again.client != loaded.client
+    assert bifrost.Network.load(*paths) == again and again.client != loaded.client
     assert again.computer.port in ports
 
 
@@ -81,8 +77,7 @@ def test_a_wrong_network_file_is_named_with_the_key(paths: tuple[Path, Path], co
     file.write_text(content if isinstance(content, str) else json.dumps(content))
     with pytest.raises(bifrost.ConfigurationError, match=message) as caught:
         bifrost.Network.load(file, keys)
-    assert str(file) in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert str(file) in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_one_of_several_computers(paths: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -131,8 +131,7 @@ def test_friction_and_links_are_found(seed: int) -> None:
         joint = found.table.joints[name]
         assert joint.friction == pytest.approx(drawn["friction"][j], abs=0.25), name
         assert joint.damping == pytest.approx(drawn["damping"][j], abs=0.3), name
-        assert joint.backlash is None
-        assert joint.effort_share == pytest.approx(0.0, abs=0.05)
+        assert joint.backlash is None and joint.effort_share == pytest.approx(0.0, abs=0.05)
         assert joint.residual < 0.6 < found.nominal_residual[name]
 
 
@@ -177,8 +176,7 @@ def test_a_record_averages_periods() -> None:
     robot.each = lambda: recorder.add(robot.measured, robot.motor, upright)
     robot.run(0.1)
     record = recorder.record()
-    assert len(record.time) == 10
-    assert np.diff(record.time) == pytest.approx(0.01)
+    assert len(record.time) == 10 and np.diff(record.time) == pytest.approx(0.01)
     neck = ROBOT.index["neck_yaw"]
     assert robot.motor.mode[neck] == JointMode.POSITION
     assert (record.stiffness[:, neck] == ROBOT.servo_stiffness[neck]).all()

@@ -77,8 +77,7 @@ def bench(reflex: BalanceReflex, latch: BehaviorLatch) -> Bench:
 def walking(bench: Bench) -> Bench:
     """The reflex leads it, a foot in the air."""
     bench.left_in(Behavior.WALK)
-    assert bench.arbiter.balancing
-    assert bench.live(**LIFTED).behavior == REFLEX
+    assert bench.arbiter.balancing and bench.live(**LIFTED).behavior == REFLEX
     return bench
 
 
@@ -99,15 +98,13 @@ def test_no_stop_is_executed_while_a_motion_manager_controls(bench: Bench) -> No
 
 def test_fall_is_executed_before_any_motor(bench: Bench) -> None:
     bench.arbiter.measured(bench.proprioceptor())
-    assert bench.order(FALL).accepted
-    assert bench.arbiter.silent and bench.arbiter.limp
+    assert bench.order(FALL).accepted and bench.arbiter.silent and bench.arbiter.limp
 
 
 @pytest.mark.parametrize("behavior", ["stand", "walk", ""])
 def test_nothing_but_stops_is_executed(held: Bench, behavior: str) -> None:
     reply = held.order(behavior)
-    assert not reply.accepted
-    assert "expected one of soft_stop, freeze, fall" in reply.reason
+    assert not reply.accepted and "expected one of soft_stop, freeze, fall" in reply.reason
 
 
 @pytest.mark.parametrize("state", ["walking", "held"])
@@ -116,8 +113,7 @@ def test_fall_is_executed_at_once(state: str, request: pytest.FixtureRequest) ->
     reply = bench.order(FALL)
     assert (reply.accepted, reply.behavior) == (True, FALL)
     arbiter = bench.arbiter
-    assert arbiter.silent and arbiter.limp
-    assert arbiter.motor is not None and not drives(arbiter.motor)
+    assert arbiter.silent and arbiter.limp and arbiter.motor is not None and not drives(arbiter.motor)
     admitted = arbiter.admitted
     bench.live(10)
     assert bench.order(FALL).accepted
@@ -153,8 +149,7 @@ def test_freeze_waits_for_both_feet_and_for_nothing_else(walking: Bench, caplog:
         walking.live()
         lasts += 1
     assert "held, as is demanded" in caplog.text
-    assert walking.arbiter.behavior == FREEZE
-    assert walking.arbiter.silent and not walking.arbiter.limp
+    assert walking.arbiter.behavior == FREEZE and walking.arbiter.silent and not walking.arbiter.limp
 
 
 @pytest.mark.parametrize("behavior", [FREEZE, SOFT_STOP])
@@ -166,10 +161,8 @@ def test_joints_that_are_held_are_frozen(held: Bench, behavior: str) -> None:
 
 def test_a_limp_robot_is_locked_by_freeze_alone(held: Bench) -> None:
     held.order(FALL)
-    assert "the robot is limp" in held.order(SOFT_STOP).reason
-    assert held.arbiter.limp
-    assert held.order(FREEZE).accepted
-    assert held.arbiter.silent and not held.arbiter.limp
+    assert "the robot is limp" in held.order(SOFT_STOP).reason and held.arbiter.limp
+    assert held.order(FREEZE).accepted and held.arbiter.silent and not held.arbiter.limp
 
 
 @pytest.mark.parametrize("order", [FALL, FREEZE])
@@ -183,8 +176,7 @@ def test_a_motion_manager_that_was_silent_for_a_moment_follows(bench: Bench, ord
     while bench.arbiter.balancing:
         bench.live(led=True)
     bench.live(2 * SOON, led=True)
-    assert bench.arbiter.motor is not was
-    assert (bench.behavior, bench.arbiter.behavior) == (order, order)
+    assert bench.arbiter.motor is not was and (bench.behavior, bench.arbiter.behavior) == (order, order)
     assert not bench.arbiter.silent
     assert seen <= {order, REFLEX, str(left)}
     assert not bench.ask(Behavior.FREEZE if order == FALL else Behavior.STAND_PREP), "and obeys commands again"
@@ -205,11 +197,9 @@ def test_a_new_motion_manager_begins_as_was_ordered(held: Bench, order: str) -> 
 
 def test_a_motion_manager_beside_the_reflex_has_its_stops_executed(walking: Bench) -> None:
     walking.live(10, led=True, **LIFTED)
-    assert walking.manager.authority.yielding
-    assert walking.behavior is Behavior.SOFT_STOP
+    assert walking.manager.authority.yielding and walking.behavior is Behavior.SOFT_STOP
     assert not walking.ask(Behavior.SOFT_STOP)
-    assert "bringing the robot to stand" in walking.ask(Behavior.STAND)
-    assert not walking.ask(Behavior.FREEZE)
+    assert "bringing the robot to stand" in walking.ask(Behavior.STAND) and not walking.ask(Behavior.FREEZE)
     walking.live(10, led=True, **LIFTED)
     assert walking.arbiter.balancing, "on one foot it would fall"
     while walking.arbiter.balancing:
@@ -222,8 +212,7 @@ def test_a_motion_manager_beside_the_reflex_lets_the_robot_go(walking: Bench) ->
     walking.live(10, led=True, **LIFTED)
     assert not walking.ask(Behavior.FALL)
     motor = walking.live(led=True, **LIFTED)
-    assert motor.behavior == FALL
-    assert not drives(motor)
+    assert motor.behavior == FALL and not drives(motor)
     assert not walking.arbiter.balancing and not walking.arbiter.silent
 
 

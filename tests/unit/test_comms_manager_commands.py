@@ -153,23 +153,19 @@ def test_what_keeps_all_rules_to_the_edge_is_executed(devices: Devices) -> None:
     assert devices.hear(mode=modes, stiffness=np.zeros(N), damping=np.zeros(N))
     assert devices.hear(), "twice an answer to the same state"
     assert devices.hear(writer=6), "a younger Motion Manager"
-    assert not devices.hear(writer=5)
-    assert devices.commands.answered
-    assert devices.latch.behavior == "stand"
+    assert not devices.hear(writer=5) and devices.commands.answered and devices.latch.behavior == "stand"
 
 
 def test_an_answer_may_be_so_old_and_never_older_than_the_one_before(devices: Devices) -> None:
     commands = devices.commands
     devices.measure(OLDEST + 5)
     assert devices.hear(answers=FIRST), "the first may be of any age: the world has waited for it"
-    assert commands.age == OLDEST + 5
-    assert not commands.answered
+    assert commands.age == OLDEST + 5 and not commands.answered
     assert not devices.hear(answers=devices.sequence - OLDEST - 1)
     assert devices.hear(answers=devices.sequence - OLDEST)
     assert not devices.hear(answers=devices.sequence - OLDEST - 1), "older than the one in force"
     assert devices.hear()
-    assert commands.age == 0
-    assert commands.answered
+    assert commands.age == 0 and commands.answered
 
 
 def test_before_the_first_motor_nothing_is_silent(devices: Devices) -> None:
@@ -208,8 +204,7 @@ def test_no_motor_is_accepted_before_the_first_state(
     net: BifrostNetwork, reflex: BalanceReflex, tmp_path: Path
 ) -> None:
     devices = Devices(net, reflex, tmp_path / "behavior.json")
-    assert not devices.hear(answers=0)
-    assert devices.commands.arbiter.motor is None
+    assert not devices.hear(answers=0) and devices.commands.arbiter.motor is None
     devices.close()
 
 
@@ -233,20 +228,16 @@ def test_a_wait_ends_with_the_answer_and_misses_in_a_row_are_silence(
     assert commands.wait(LONG)
     for misses in range(1, MISSES_TO_SILENCE):
         devices.measure()
-        assert not commands.wait(SOON)
-        assert commands.waits_timed_out == misses
+        assert not commands.wait(SOON) and commands.waits_timed_out == misses
     assert commands.wait(SOON, age=MISSES_TO_SILENCE - 1), "one that old will do"
     for _ in range(MISSES_TO_SILENCE - 1):
         assert not commands.wait(SOON)
     assert not commands.arbiter.silent, "not in a row"
     for _ in range(3):
-        assert not commands.wait(SOON)
-        assert commands.arbiter.silent
+        assert not commands.wait(SOON) and commands.arbiter.silent
     assert caplog.text.count("waits of") == 1, "it is told once"
     devices.say()
-    assert commands.wait(LONG)
-    assert not commands.wait(SOON, age=-1)
-    assert not commands.arbiter.silent
+    assert commands.wait(LONG) and not commands.wait(SOON, age=-1) and not commands.arbiter.silent
 
 
 def test_who_listens_takes_what_is_there_and_counts_no_miss(devices: Devices) -> None:
@@ -272,9 +263,7 @@ def test_a_robot_left_walking_is_led_until_it_stands(devices: Devices, caplog: p
     commands = devices.commands
     assert devices.hear(behavior="walk")
     devices.measure(OLDEST + 1)
-    assert commands.arbiter.abandoned
-    assert not commands.arbiter.silent
-    assert commands.answered
+    assert commands.arbiter.abandoned and not commands.arbiter.silent and commands.answered
     admitted = commands.arbiter.admitted
     devices.say(behavior="stand")  # by one that should stand aside
     while not commands.arbiter.silent:
@@ -282,8 +271,7 @@ def test_a_robot_left_walking_is_led_until_it_stands(devices: Devices, caplog: p
         devices.measure()
         admitted += 1
         assert (commands.arbiter.admitted, commands.answered) == (admitted, True)
-    assert not commands.arbiter.limp
-    assert commands.rejected == 0
+    assert not commands.arbiter.limp and commands.rejected == 0
     assert devices.latch.behavior == "walk"
     assert "in walk, the balance reflex brings the robot to stand" in caplog.text
     assert "the balance reflex has ended: it stands" in caplog.text

@@ -31,8 +31,7 @@ def test_servos_continue_as_they_were_and_the_others_hold_what_they_carry_where_
     assert not (held.velocity.any() or held.stiffness.any() or held.damping.any())
     assert held.position[SERVO] == wanted[SERVO] and held.effort[SERVO] == asked[SERVO]
     others = np.arange(N) != SERVO
-    assert (held.position[others] == measured[others]).all()
-    assert (held.effort[others] == felt[others]).all()
+    assert (held.position[others] == measured[others]).all() and (held.effort[others] == felt[others]).all()
     assert (held.sequence, held.behavior) == (motor.sequence, motor.behavior)
     kept = held.position.copy(), held.effort.copy()
     for changed in (measured, felt):

@@ -321,8 +321,7 @@ def test_independent_faults_are_reported_together(tmp_path: Path) -> None:
     assert len(str(refused.value).splitlines()) == len(findings.faults) + len(findings.unchecked) + 1
     assert f"run `valorctl robot check {folder}`" in str(refused.value)
     result = CliRunner().invoke(app, ["robot", "check", str(folder), "--no-play", "--json"])
-    assert isinstance(result.exception, ConfigurationError)
-    assert '"faults"' in result.output
+    assert isinstance(result.exception, ConfigurationError) and '"faults"' in result.output
 
 
 def test_wrong_keys_are_reported_together(tmp_path: Path) -> None:
@@ -332,8 +331,7 @@ def test_wrong_keys_are_reported_together(tmp_path: Path) -> None:
         ("half_width: 0.07425 }", "half_width: wide }"),
     )
     findings = examine(folder_of(tmp_path, "robot.yaml", Mutant(wrong, "")))
-    assert keys(findings) == {"control_rate", "bass", "base", "feet.left.half_width"}
-    assert findings.unchecked
+    assert keys(findings) == {"control_rate", "bass", "base", "feet.left.half_width"} and findings.unchecked
 
 
 @pytest.mark.parametrize("mutant", PROFILE.values(), ids=PROFILE.keys())

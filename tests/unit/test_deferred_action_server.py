@@ -57,8 +57,7 @@ class Asked:
 def test_a_goal_that_its_owner_cannot_take_is_aborted(side: RosSide) -> None:
     asked = Asked(side, lambda _: 1 // 0)  # type: ignore[arg-type]
     handle = asked.answer(asked.client.send_goal_async(FollowJointTrajectory.Goal()))
-    assert handle.accepted
-    assert asked.answer(handle.get_result_async()).status == GoalStatus.STATUS_ABORTED
+    assert handle.accepted and asked.answer(handle.get_result_async()).status == GoalStatus.STATUS_ABORTED
 
 
 def test_a_result_that_was_there_before_it_was_asked_for_is_had_and_by_several(side: RosSide) -> None:

@@ -77,8 +77,7 @@ def test_a_unit_is_silent_after_its_time_and_no_longer_when_it_speaks() -> None:
     assert (report.reaction, report.states) == ("hold", ["ok", "silent", "ok"])
     assert report.reason.startswith("legs/2: no valid state")
     bench.run(0.02)
-    assert not bench.watch.reactions
-    assert bench.watch.report(bench.now).reason == ""
+    assert not bench.watch.reactions and bench.watch.report(bench.now).reason == ""
 
 
 def test_states_that_the_computer_has_not_read_are_overdue_then_unread() -> None:

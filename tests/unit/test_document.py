@@ -28,8 +28,7 @@ def refusal(text: str | bytes) -> str:
     with pytest.raises(ConfigurationError) as refused:
         load(text)
     reported = str(refused.value)
-    assert reported.startswith(str(FILE))
-    assert "\n" not in reported
+    assert reported.startswith(str(FILE)) and "\n" not in reported
     return reported.removeprefix(f"{FILE}:")
 
 

@@ -77,12 +77,10 @@ def test_items_are_written_and_read(bus: Bus, port: DynamixelPort) -> None:
     servo.measure(2100.0, 0.5, -0.3, 12.345)
     port.write(2, X_SERIES.torque_enable, 1)
     port.write(2, X_SERIES.goal_position, 3000)
-    assert servo.torque
-    assert servo.goal_position == 3000
+    assert servo.torque and servo.goal_position == 3000
     assert port.read(2, X_SERIES.present_position) == 2100
     assert port.read(2, X_SERIES.present_velocity) * servo.model.velocity_unit == pytest.approx(0.5, abs=0.013)
-    assert port.read(2, X_SERIES.present_effort) < 0
-    assert port.read(2, X_SERIES.realtime_tick) == 12345
+    assert port.read(2, X_SERIES.present_effort) < 0 and port.read(2, X_SERIES.realtime_tick) == 12345
     port.write_all(X_SERIES.goal_position, {1: 1000, 3: 4000})
     all_answer(port, port.reader(X_SERIES.feedback, (1, 2, 3)))
     assert [each.goal_position for each in bus.servos] == [1000, 3000, 4000]
@@ -172,8 +170,7 @@ def test_of_two_answers_to_a_request_made_again_the_second_is_none_to_the_next()
 
     servo = threading.Thread(target=answer)
     servo.start()
-    assert port.read(1, X_SERIES.goal_position) == 257
-    assert port.read(1, X_SERIES.present_position) == 514
+    assert port.read(1, X_SERIES.goal_position) == 257 and port.read(1, X_SERIES.present_position) == 514
     servo.join()
     port.close()
     os.close(device)

@@ -69,8 +69,7 @@ def test_the_head_goes_where_it_is_sent_and_says_where_it_is(bench: Bench) -> No
         comes_to(driver, PITCH, 0.3)
         with bench.lock:
             truth = bench.robot.plant.joint_position[driver.joints]
-        assert abs(position(driver, YAW) - truth[YAW]) < 0.1
-        assert driver.unit_faults == ()
+        assert abs(position(driver, YAW) - truth[YAW]) < 0.1 and driver.unit_faults == ()
 
 
 def test_it_goes_no_faster_than_the_joint_may(bench: Bench) -> None:
@@ -97,8 +96,7 @@ def test_the_lidar_spins_at_the_speed_of_the_table(bench: Bench) -> None:
         wait_until(lambda: look()[0] > first[0] + 1.0, 20, "a second of the robot's")
         last = look()
         assert (last[1] - first[1]) / (last[0] - first[0]) == pytest.approx(1.0, rel=0.05)
-        assert abs(position(driver, LIDAR)) <= math.pi
-        assert driver.unit_faults == ()
+        assert abs(position(driver, LIDAR)) <= math.pi and driver.unit_faults == ()
 
 
 @pytest.mark.parametrize(

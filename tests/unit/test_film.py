@@ -62,8 +62,7 @@ def test_a_film_shows_that_the_arm_moved(bag: Path, tmp_path: Path, suffix: str)
         assert (content[:4], content[8:12], content.count(b"ANMF")) == (b"RIFF", b"WEBP", 9)
         return
     seen = pictures(made.file)
-    assert len(seen) == 9
-    assert seen[0].shape == (SIZE[1], SIZE[0], 3)
+    assert len(seen) == 9 and seen[0].shape == (SIZE[1], SIZE[0], 3)
     changed = np.abs(seen[0] - seen[-1]).max(axis=2) > 60
     assert 0.002 < changed.mean() < 0.4  # an arm and a head, not the world
 
@@ -177,8 +176,7 @@ def test_forces_stand_where_they_act_and_support_spans_what_stands() -> None:
     np.testing.assert_allclose(arrow.end - arrow.start, (0.0, 0.0, 0.4), atol=1e-12)
     (both,) = marks.support(soles, (True, True), feet)
     (one,) = marks.support(soles, (True, False), feet)
-    assert isinstance(both, marks.Polyline)
-    assert isinstance(one, marks.Polyline)
+    assert isinstance(both, marks.Polyline) and isinstance(one, marks.Polyline)
     assert np.ptp(both.points[:, 1]) == pytest.approx(0.2 + feet.left.half_width + feet.right.half_width)
     assert np.ptp(one.points[:, 1]) == pytest.approx(2.0 * feet.left.half_width)
     assert marks.support(soles, (False, False), feet) == []

@@ -127,8 +127,7 @@ def hand_over(
 def check_refusal(refusal: PlanRejectedError | str, flags: set[int]) -> None:
     """One line that names the step, or what of the plan as a whole is wrong; the flag is one of what was broken."""
     text = str(refusal)
-    assert "\n" not in text
-    assert text
+    assert "\n" not in text and text
     assert re.search(r"\bstep -?\d+|start\.(left|right)|the plan |the start feet|the update ", text), text
     if isinstance(refusal, PlanRejectedError):
         assert refusal.status in flags, text
@@ -248,8 +247,7 @@ def test_nor_does_what_comes_over_bifrost_from_anybody(at: int, what: str, data:
     reason = bench.send(sent)
     if reason:
         assert re.search(r"step -?\d+", reason)
-        assert state(bench) == before
-        assert not bench.go_on()
+        assert state(bench) == before and not bench.go_on()
         return
     check_feasible(bench.queue.steps, bench.soles[1 - sent[0].foot])
     for index, step in enumerate(bench.queue.steps):

@@ -121,10 +121,8 @@ def test_no_index_of_the_progress_goes_back(words: list[tuple[int, int, int]]) -
         )
         seen.append(execution.progress)
     for before, after in pairwise(seen):
-        assert before.performed <= after.performed
-        assert before.executing <= after.executing
-        assert before.changeable <= after.changeable
-        assert after.performed <= after.executing < after.changeable
+        assert before.performed <= after.performed and before.executing <= after.executing
+        assert before.changeable <= after.changeable and after.performed <= after.executing < after.changeable
 
 
 def stand(execution: Execution, until: float) -> None:

@@ -43,8 +43,7 @@ def test_a_pose_on_both_soles_stands_in_mujoco(robot: RobotDescription) -> None:
     (pose,) = find(posture, wanted)
     seen = check(posture, wanted.contacts, pose)
     assert np.abs(seen.unbalanced).max() < 1e-4  # N, N·m
-    assert seen.torque <= wanted.torque + 1e-6
-    assert seen.depth < 0.003
+    assert seen.torque <= wanted.torque + 1e-6 and seen.depth < 0.003
     data = mujoco.MjData(posture.model.mj)
     data.qpos[:] = posture.qpos(pose.coordinates)
     mujoco.mj_forward(posture.model.mj, data)
@@ -109,8 +108,7 @@ def test_eschers_table_is_what_its_plan_gives(tmp_path: Path) -> None:
     assert [pose.plan.name for pose in found] == [pose.name for pose in PLAN.face_down if pose.loaded]
     for pose in found:
         seen = check(posture, PLAN.contacts, pose)
-        assert np.abs(seen.unbalanced).max() < 1e-3
-        assert seen.torque <= PLAN.torque + 1e-6
+        assert np.abs(seen.unbalanced).max() < 1e-3 and seen.torque <= PLAN.torque + 1e-6
     (folder / FILE).write_text(content)
     made, kept = (GetUp(RobotDescription.load(at)) for at in (folder, ROBOTS / "escher"))
     assert np.allclose(made.goals, kept.goals, atol=0.02)  # another machine's IPOPT ends a little elsewhere

@@ -56,8 +56,7 @@ def test_a_load_is_held_by_the_arm_that_carries_it_and_forgotten_when_it_is_put_
     assert not parts.servos.load[LEFT].any()
     np.testing.assert_allclose(parts.servos.load[RIGHT], 30.0 * lifted_by("right_arm"), atol=0.3)
     standing.run(2.0)
-    assert parts.hand_loads.weights == [0.0, 0.0]
-    assert not parts.servos.load.any()
+    assert parts.hand_loads.weights == [0.0, 0.0] and not parts.servos.load.any()
 
 
 def test_no_more_is_held_than_the_heaviest(standing: Robot) -> None:
@@ -89,8 +88,7 @@ def test_what_pushes_a_hand_down_that_presses_in_vain_is_not_held_as_a_load(stan
     standing.run(2.0, right_hand_wrench=in_hand(np.array((0.0, 0.0, -30.0))))
     assert parts.hand_loads.weights[1] > 20.0
     standing.run(0.3, right_hand_wrench=in_hand(np.array((-100.0, 0.0, -30.0))))
-    assert parts.hand_loads.resisted[1] > 60.0
-    assert parts.hand_loads.weights == [0.0, 0.0]
+    assert parts.hand_loads.resisted[1] > 60.0 and parts.hand_loads.weights == [0.0, 0.0]
     assert not parts.servos.load.any()
     standing.run(0.5)
 

@@ -75,8 +75,7 @@ def test_set_points_are_sent_once_the_identity_is_known(bench: Bench) -> None:
 def test_another_identity_is_reported_and_receives_no_set_points(bench: Bench, changes: dict[str, str]) -> None:
     bench.cycle(changes)
     (value,) = changes.values()
-    assert value in bench.state.wrong and "robot.yaml" in bench.state.wrong
-    assert not bench.cycle()["sequence"]
+    assert value in bench.state.wrong and "robot.yaml" in bench.state.wrong and not bench.cycle()["sequence"]
     assert (bench.limb.fault & Fault.NO_ANSWER).all()
 
 

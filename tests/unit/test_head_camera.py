@@ -71,8 +71,7 @@ def test_a_lever_is_seen_where_it_is(door: Scene, yaw: float, pitch: float) -> N
     assert depth > 0.5
     yellow = (image[:, :, 0] > 150) & (image[:, :, 2] < 90) & (image[:, :, 1] > 90)
     rows, columns = np.nonzero(yellow)
-    assert rows.size > 20
-    assert math.hypot(rows.mean() - row / depth, columns.mean() - column / depth) < CLEAR
+    assert rows.size > 20 and math.hypot(rows.mean() - row / depth, columns.mean() - column / depth) < CLEAR
 
 
 @pytest.mark.parametrize("name", ["escher", "thor"])
@@ -96,8 +95,7 @@ def test_without_a_head_the_chest_carries_it(tmp_path: Path) -> None:
     assert eye.body_of(robot) == robot.tables.chest
     camera = camera_in_world(robot, robot.nominal_posture)
     chest = camera_in_world(ESCHER, ESCHER.nominal_posture)
-    assert 0.0 < camera.position[2] < chest.position[2]
-    assert camera.position[0] > 0.05
+    assert 0.0 < camera.position[2] < chest.position[2] and camera.position[0] > 0.05
 
 
 def test_it_runs_where_it_is_asked_for_in_simulation_alone() -> None:

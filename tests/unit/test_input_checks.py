@@ -61,8 +61,7 @@ class Topics:
 def test_what_commands_need_is_no_flood(rate: float, seconds: float) -> None:
     topics = Topics("pilot")
     topics.send(rate, seconds)
-    assert topics.floods.report() == ""
-    assert topics.taken == list(range(1, len(topics.taken) + 1))
+    assert topics.floods.report() == "" and topics.taken == list(range(1, len(topics.taken) + 1))
 
 
 @given(st.floats(2.5 * ROS_TOPIC.rate, 10_000.0))

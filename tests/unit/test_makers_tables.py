@@ -56,8 +56,7 @@ def test_feedback_of_a_servo_is_as_in_its_control_table(model: str) -> None:
     emulated = Servo(1, MODELS[model], 46)
     emulated.voltage, emulated.temperature = 12.1, 35.0
     emulated.measure(turn // 4, -40 * rpm * RPM, effort, 12.345)
-    assert emulated.read(start, len(block)) == block
-    assert emulated.read(0, 2) == number.to_bytes(2, "little")
+    assert emulated.read(start, len(block)) == block and emulated.read(0, 2) == number.to_bytes(2, "little")
     table = DynamixelServo(id=1, joint="neck_yaw", model=model, firmware=46, zero=0, direction=-1)
     servo = dynamixel_servo.Servo(table, "neck", 0, ESCHER)
     assert servo.registers.feedback == (start, len(block), False)
@@ -110,8 +109,7 @@ def test_filter_data_of_a_microstrain_is_as_in_the_manual() -> None:
     assert isinstance(driver, microstrain.MicroStrain)
     message = b"\x75\x65\x82" + bytes((len(fields),)) + fields
     message += microstrain.checksum(message)
-    assert driver._take(message)
-    assert driver.attitude is not None
+    assert driver._take(message) and driver.attitude is not None
     np.testing.assert_allclose(driver.attitude.orientation, (1, 0, 0, 0))
     np.testing.assert_allclose(driver.attitude.angular_velocity, (0, 0, 0.5))
     np.testing.assert_allclose(driver.attitude.linear_acceleration, (0, 0, 9.80665), rtol=1e-6)

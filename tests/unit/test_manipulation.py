@@ -67,8 +67,7 @@ def test_the_lever_springs_back_and_the_leaf_stays_where_it_was_pushed() -> None
     fixture.run(0.5, {"leaf": 0.0}, {"lever": math.radians(45.0)})
     assert fixture.angle("lever") > math.radians(35.0)
     fixture.run(1.0, {"leaf": 10.0, "lever": 0.0})
-    assert abs(fixture.angle("lever")) < math.radians(2.0)
-    assert fixture.angle("leaf") < HELD
+    assert abs(fixture.angle("lever")) < math.radians(2.0) and fixture.angle("leaf") < HELD
 
 
 def test_the_wheel_is_held_by_its_friction_and_turns_round_and_round_beyond_it() -> None:
@@ -130,8 +129,7 @@ def test_the_fist_comes_from_above_the_lever_presses_it_beyond_its_latch_and_the
     ahead, over, turned, *pushes = [(at.frame.inverse() @ move.hand).position for move in moves]
     assert ahead[0] < over[0]
     edge = HandShape.of(ESCHER, door.NAME, door.FINGERS).bottom
-    assert ahead[2] > over[2] > at.handle_height - edge > turned[2]
-    assert turned[:2] == pytest.approx(over[:2])
+    assert ahead[2] > over[2] > at.handle_height - edge > turned[2] and turned[:2] == pytest.approx(over[:2])
     assert all(one[0] < other[0] for one, other in zip([turned, *pushes], pushes, strict=False))
     assert math.atan2(pushes[-1][0], at.hinge) > OPEN
 

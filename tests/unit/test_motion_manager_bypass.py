@@ -72,8 +72,7 @@ def test_a_hand_goes_to_its_goal_and_reports_it(robot: Robot) -> None:
     manager = robot.manager
     before = manager.components.reference.position.copy()
     assert lead(robot, goal(robot, np.array((0.4, -0.3, 0.2))))
-    assert manager.report(0.0).right_arm == "hand_goal"
-    assert manager.report(0.0).left_arm == "setpoints"
+    assert manager.report(0.0).right_arm == "hand_goal" and manager.report(0.0).left_arm == "setpoints"
     set_points = []
     for _ in range(round(6.0 / ROBOT.control_period)):
         follow(robot)
@@ -95,8 +94,7 @@ def test_a_goal_out_of_reach_is_approached_and_stated(robot: Robot) -> None:
         if robot.manager.components.hand_goals.status(1, 0).state == "out_of_reach":
             break
     status = robot.manager.components.hand_goals.status(1, 0)
-    assert status.state == "out_of_reach"
-    assert status.position_error > 0.5
+    assert status.state == "out_of_reach" and status.position_error > 0.5
     assert "the right hand gets no nearer" in status.reason
 
 
@@ -141,8 +139,7 @@ def test_the_arm_has_one_leader(robot: Robot) -> None:
     assert send(), "the sender cannot know yet"
     robot.run(GRACE + 0.01)
     assert not send()
-    assert "the right arm follows a hand goal" in refusal(robot)
-    assert not robot.ask(Behavior.STAND)
+    assert "the right arm follows a hand goal" in refusal(robot) and not robot.ask(Behavior.STAND)
     robot.run(0.1)
     assert not manager.components.hand_goals.active
     assert manager.components.hand_goals.status(1, 0).reason == "the behavior is stand"

@@ -48,16 +48,14 @@ def test_one_broken_proprioceptor_is_survived_but_several_are_a_fall(standing: R
     before = some(standing.motor)
     motor = standing.tick(**dict[str, Any]({name: BROKEN[name]}))
     assert standing.behavior is Behavior.STAND
-    assert np.array_equal(motor.effort, before.effort)
-    assert (motor.damping >= before.damping).all()
+    assert np.array_equal(motor.effort, before.effort) and (motor.damping >= before.damping).all()
     (rejection,) = standing.manager.rejections.take()
     assert name in rejection.reason
     standing.run(0.5)
     for _ in range(round(FAULTY / ROBOT.control_period)):
         assert standing.behavior is Behavior.STAND
         motor = standing.tick(**dict[str, Any]({name: BROKEN[name]}))
-    assert standing.behavior is Behavior.FALL
-    assert name in standing.manager.fsm.reason
+    assert standing.behavior is Behavior.FALL and name in standing.manager.fsm.reason
     assert not motor.effort.any()
 
 
@@ -65,8 +63,7 @@ def test_a_robot_that_never_makes_sense_is_never_in_control(robot: Robot) -> Non
     for _ in range(50):
         motor = robot.tick(joint_position=np.full(N, np.nan))
     assert not motor.effort.any()
-    assert robot.behavior is Behavior.IDLE
-    assert not robot.manager.authority.in_control
+    assert robot.behavior is Behavior.IDLE and not robot.manager.authority.in_control
 
 
 def interfere(robot: Robot, change: Callable[[WholeBodyCommand], WholeBodyCommand]) -> None:

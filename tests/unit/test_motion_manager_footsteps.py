@@ -95,8 +95,7 @@ def footstep(index: int, foot: int, x: float, y: float, yaw: float = 0.0, **more
 
 def test_indices_never_go_back() -> None:
     bench = Bench()
-    assert bench.indices == (-1, -1, -1)
-    assert not bench.send(ahead(0, 3))
+    assert bench.indices == (-1, -1, -1) and not bench.send(ahead(0, 3))
     seen = [bench.indices]
     while bench.go_on():
         seen.append(bench.indices)
@@ -113,11 +112,9 @@ def test_goes_on_behind_the_last_step_while_it_is_taken_and_until_it_is_at_rest(
         assert bench.go_on()
     assert "step 0 cannot be changed now; a plan may change from step 3" in bench.send(ahead(0, 2))
     assert "step 4 cannot be changed" in bench.send(ahead(4, 2))
-    assert "is of the left foot" in bench.send([footstep(3, 0, 0.7, 0.1)])
-    assert not bench.send(ahead(3, 2))
+    assert "is of the left foot" in bench.send([footstep(3, 0, 0.7, 0.1)]) and not bench.send(ahead(3, 2))
     bench.finish()
-    assert [step.index for step in bench.taken] == [0, 1, 2, 3, 4]
-    assert bench.status.state == "finished"
+    assert [step.index for step in bench.taken] == [0, 1, 2, 3, 4] and bench.status.state == "finished"
 
 
 def test_a_change_that_the_robot_has_overtaken_on_its_way_changes_what_comes_behind() -> None:
@@ -141,11 +138,9 @@ def test_a_stop_brings_the_feet_together() -> None:
     assert not bench.send([footstep(i, i % 2, 0.2 * (i + 1), 0.1 - 0.2 * (i % 2), yaw=0.1) for i in range(6)])
     bench.go_on()
     bench.go_on()
-    assert bench.status.executing_step_index == 1
-    assert not bench.send([])
+    assert bench.status.executing_step_index == 1 and not bench.send([])
     assert not bench.send([])  # again: no other
-    assert "is ending (stopped by somebody)" in bench.send(ahead(2, 2))
-    assert bench.indices == (0, 1, -1)
+    assert "is ending (stopped by somebody)" in bench.send(ahead(2, 2)) and bench.indices == (0, 1, -1)
     bench.finish()
     assert [step.index for step in bench.taken] == [0, 1, 2]
     left, right = bench.soles
@@ -167,11 +162,8 @@ def test_a_stop_takes_no_step_more_where_the_feet_come_together_anyway() -> None
 
 def test_a_stop_of_a_plan_that_has_not_begun_ends_it() -> None:
     bench = Bench()
-    assert not bench.send(ahead(0, 3))
-    assert not bench.send([])
-    assert not bench.go_on()
-    assert (bench.status.state, bench.taken) == ("finished", [])
-    assert bench.queue.take_finished()
+    assert not bench.send(ahead(0, 3)) and not bench.send([]) and not bench.go_on()
+    assert (bench.status.state, bench.taken) == ("finished", []) and bench.queue.take_finished()
 
 
 def test_a_plan_that_fails_has_no_steps_left() -> None:
@@ -228,8 +220,7 @@ def test_a_long_step_is_not_a_wide_one() -> None:
 def test_only_in_step() -> None:
     bench = Bench()
     bench.fsm.go(Behavior.STAND, "test")
-    assert "the behavior is stand" in bench.send(ahead(0, 3))
-    assert "the behavior is stand" in bench.send([])
+    assert "the behavior is stand" in bench.send(ahead(0, 3)) and "the behavior is stand" in bench.send([])
     assert bench.rejections.total == 2
 
 

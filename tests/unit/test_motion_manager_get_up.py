@@ -71,10 +71,8 @@ def test_a_robot_that_is_not_where_a_pose_should_have_brought_it_gives_up(pitch:
 def test_from_face_down_to_stand() -> None:
     run = RobotInProcess(ESCHER, "hardware", seed=0)
     run.lie_face_down()
-    assert "no transition" in run.ask(Behavior.STAND_PREP)
-    assert run.get_up() == ""
-    assert (run.peak <= ESCHER.effort_limit + 1e-9).all()
-    assert run.stand() == ""
+    assert "no transition" in run.ask(Behavior.STAND_PREP) and run.get_up() == ""
+    assert (run.peak <= ESCHER.effort_limit + 1e-9).all() and run.stand() == ""
 
 
 def test_a_robot_that_is_held_down_gives_up_limp() -> None:
@@ -87,8 +85,7 @@ def test_a_robot_that_is_held_down_gives_up_limp() -> None:
     assert "given up" in reason
     run.peak[:] = 0.0
     run.step()
-    assert (run.peak < 0.2 * ESCHER.effort_limit).all()
-    assert "no transition" in run.ask(Behavior.STAND)
+    assert (run.peak < 0.2 * ESCHER.effort_limit).all() and "no transition" in run.ask(Behavior.STAND)
 
 
 @dataclass
@@ -116,8 +113,7 @@ def test_on_its_soles_the_ankles_lean_it_back_to_the_middle() -> None:
             position = ESCHER.nominal_posture.copy()
             balance.lean(position, Squatting(ahead), 1.0 + 0.002 * i)  # type: ignore[arg-type]
         added = position - ESCHER.nominal_posture
-        assert not np.delete(added, ankles).any()
-        assert added[ankles[0]] == added[ankles[1]]
+        assert not np.delete(added, ankles).any() and added[ankles[0]] == added[ankles[1]]
         return float(added[ankles[0]])
 
     assert lean(0.0) == pytest.approx(0.0)

@@ -116,14 +116,12 @@ def test_a_move_arrives_with_all_joints_together_within_its_limits(seed: int, sh
     times = np.linspace(5.0, 5.0 + move.duration, 201)
     samples = [move.at(float(t)) for t in times]
     position, rate, change = (np.array(column) for column in zip(*samples, strict=True))
-    assert np.allclose(position[0], start)
-    assert np.allclose(position[-1], goal)
+    assert np.allclose(position[0], start) and np.allclose(position[-1], goal)
     assert (np.abs(rate) <= velocity * (1 + 1e-9)).all()
     assert (np.abs(change) <= acceleration * (1 + 1e-9)).all()
     assert np.allclose(np.gradient(position, times, axis=0)[1:-1], rate[1:-1], atol=0.02 * velocity.max())
     assert np.allclose(np.gradient(rate, times, axis=0)[1:-1], change[1:-1], atol=0.02 * acceleration.max())
-    assert np.allclose(move.at(1e3)[0], goal)
-    assert not move.at(1e3)[1].any()
+    assert np.allclose(move.at(1e3)[0], goal) and not move.at(1e3)[1].any()
 
 
 def everything() -> np.ndarray:

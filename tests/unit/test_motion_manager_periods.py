@@ -28,15 +28,13 @@ def test_it_starts_idle_and_goes_to_stand_prep_with_the_first_proprioceptor(robo
     assert "no comms_manager/proprioceptor yet" in robot.ask(Behavior.FREEZE)
     assert robot.manager.report(0.0).behavior == "idle"
     robot.tick()
-    assert robot.behavior is Behavior.STAND_PREP
-    assert robot.manager.authority.in_control
+    assert robot.behavior is Behavior.STAND_PREP and robot.manager.authority.in_control
 
 
 def test_a_repeated_proprioceptor_is_answered_and_nothing_else(robot: Robot) -> None:
     for _ in range(100):
         robot.tick(elapsed=0)
-    assert robot.behavior is Behavior.STAND_PREP
-    assert robot.manager.fsm.changes == 1
+    assert robot.behavior is Behavior.STAND_PREP and robot.manager.fsm.changes == 1
     robot.run(1.0)
     assert not robot.ask(Behavior.STAND)
 
@@ -67,13 +65,11 @@ def test_stand_prep_moves_slowly_from_wherever_the_joints_are(robot: Robot) -> N
 )
 def test_stand_is_refused_to_a_robot_that_cannot(robot: Robot, changes: dict[str, Any], reason: str) -> None:
     robot.run(1.0, **changes)
-    assert reason in robot.ask(Behavior.STAND)
-    assert robot.behavior is Behavior.STAND_PREP
+    assert reason in robot.ask(Behavior.STAND) and robot.behavior is Behavior.STAND_PREP
 
 
 def test_nobody_slips_through_stand_prep_between_two_periods(standing: Robot) -> None:
-    assert not standing.ask(Behavior.FREEZE)
-    assert not standing.ask(Behavior.STAND_PREP)
+    assert not standing.ask(Behavior.FREEZE) and not standing.ask(Behavior.STAND_PREP)
     assert "just started" in standing.ask(Behavior.STAND)
     standing.tick()
     assert "to go" in standing.ask(Behavior.STAND)
@@ -138,8 +134,7 @@ def test_a_fall_makes_the_motors_limp_in_the_same_period(standing: Robot) -> Non
         motor = standing.tick(imu_orientation=tilted(1.2))
     assert standing.behavior is Behavior.FALL
     assert "tilted" in standing.manager.fsm.reason or "DCM" in standing.manager.fsm.reason
-    assert not motor.effort.any()
-    assert not motor.stiffness.any()
+    assert not motor.effort.any() and not motor.stiffness.any()
     standing.run(0.5)  # upright again
     assert standing.behavior is Behavior.FALL
 
@@ -159,15 +154,13 @@ def test_joints_found_beyond_their_stops_are_not_commanded_there(
 def test_a_world_begun_anew_is_a_fall(standing: Robot) -> None:
     standing.time, standing.sequence = 0, standing.sequence + 1_000_000
     motor = standing.tick()
-    assert standing.behavior is Behavior.FALL
-    assert "another world" in standing.manager.fsm.reason
+    assert standing.behavior is Behavior.FALL and "another world" in standing.manager.fsm.reason
     assert not motor.effort.any()
 
 
 def test_a_robot_that_stood_without_us_for_a_while_is_held(standing: Robot) -> None:
     standing.tick(elapsed=40 * PERIOD)
-    assert standing.behavior is Behavior.STAND
-    assert standing.manager.missed == 39
+    assert standing.behavior is Behavior.STAND and standing.manager.missed == 39
     effort = np.where(np.arange(N) < 27, 0.1 * LIMIT, 0.0)
     motor = standing.tick(elapsed=60 * PERIOD, joint_effort=effort)
     assert standing.behavior is Behavior.FREEZE
@@ -188,8 +181,7 @@ def test_a_robot_that_stood_without_us_for_a_while_is_held(standing: Robot) -> N
 )
 def test_a_robot_that_is_found_lying_is_let_go(standing: Robot, found: dict[str, object], why: str) -> None:
     motor = standing.tick(elapsed=60 * PERIOD, **found)
-    assert standing.behavior is Behavior.FALL
-    assert why in standing.manager.fsm.reason
+    assert standing.behavior is Behavior.FALL and why in standing.manager.fsm.reason
     assert not motor.effort.any()
 
 
@@ -214,8 +206,7 @@ def test_a_robot_that_was_stepping_without_us_is_let_go_unless_it_has_come_to_re
     stepping: Robot, speed: float, found: Behavior, why: str
 ) -> None:
     stepping.tick(elapsed=60 * PERIOD, joint_velocity=np.full(N, speed))
-    assert stepping.behavior is found
-    assert why in stepping.manager.fsm.reason
+    assert stepping.behavior is found and why in stepping.manager.fsm.reason
 
 
 def aside(robot: Robot, seconds: float = 0.1, **changes: Any) -> None:
@@ -269,8 +260,7 @@ def test_in_stand_prep_a_new_world_is_held_as_it_is_found(robot: Robot) -> None:
     motor = robot.tick(joint_position=found)
     assert robot.behavior is Behavior.FREEZE
     assert np.allclose(motor.position, found)
-    assert not robot.ask(Behavior.STAND_PREP)
-    assert "just started" in robot.ask(Behavior.STAND)
+    assert not robot.ask(Behavior.STAND_PREP) and "just started" in robot.ask(Behavior.STAND)
 
 
 # A Motion Manager that finds a robot which another one has led: it holds what it finds, and waits for a command.
@@ -291,16 +281,14 @@ def begin(behavior: str, seconds: float = 0.2, **changes: Any) -> Robot:
 def test_no_joint_is_moved(behavior: str) -> None:
     robot = begin(behavior, joint_position=FOUND)
     expected = RESUMED.get(Behavior(behavior), Behavior.FREEZE) if behavior in list(Behavior) else Behavior.FREEZE
-    assert robot.behavior is expected
-    assert f"before, the robot was in {behavior}" in robot.manager.fsm.reason
+    assert robot.behavior is expected and f"before, the robot was in {behavior}" in robot.manager.fsm.reason
     motor = robot.motor
     assert motor is not None and motor.behavior == expected
     if expected is Behavior.FALL:
         assert not motor.effort.any() and not motor.stiffness.any()
         assert (motor.mode != JointMode.POSITION).all()
     else:
-        assert np.array_equal(motor.position, FOUND)
-        assert not motor.velocity.any()
+        assert np.array_equal(motor.position, FOUND) and not motor.velocity.any()
 
 
 @pytest.mark.parametrize("behavior", BALANCED)
@@ -315,8 +303,7 @@ def test_one_that_balanced_and_does_not_stand_any_more_is_let_go(
     behavior: Behavior, condition: dict[str, Any], reason: str
 ) -> None:
     robot = begin(behavior, **condition)
-    assert robot.behavior is Behavior.FALL
-    assert reason in robot.manager.fsm.reason
+    assert robot.behavior is Behavior.FALL and reason in robot.manager.fsm.reason
 
 
 def test_a_frozen_one_is_held_however_it_lies() -> None:

@@ -136,9 +136,7 @@ def test_a_velocity_moves_no_robot_that_does_not_walk(path: tuple[Behavior, ...]
 @pytest.mark.parametrize("path", [WALKING, (*WALKING, Behavior.WALK_MANIPULATE)])
 def test_a_velocity_is_followed_in_both_behaviors_that_walk(path: tuple[Behavior, ...]) -> None:
     steering = Steering(*path)
-    assert not steering.walks
-    assert steering.send(0.2, 0.0, 0.0)
-    assert steering.walks
+    assert not steering.walks and steering.send(0.2, 0.0, 0.0) and steering.walks
     assert not steering.rejections.take()
 
 
@@ -148,8 +146,7 @@ def test_a_velocity_that_is_no_number_is_refused(place: int, value: float) -> No
     steering = Steering(*WALKING)
     velocity = np.zeros(3)
     velocity[place] = value
-    assert not steering.send(*velocity.tolist())
-    assert str(velocity.tolist()) in steering.refusal().reason
+    assert not steering.send(*velocity.tolist()) and str(velocity.tolist()) in steering.refusal().reason
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -171,5 +168,4 @@ def test_a_plan_that_is_stopped_before_it_began_ends_in_stand(path: tuple[Behavi
     assert plan.handle(FootstepPlanRequest(steps=ahead(0, 3)), "somebody").accepted
     assert plan.handle(FootstepPlanRequest(steps=[]), "somebody").accepted
     robot.tick()
-    assert robot.behavior is Behavior.STAND
-    assert robot.manager.fsm.reason == "stopped by somebody"
+    assert robot.behavior is Behavior.STAND and robot.manager.fsm.reason == "stopped by somebody"

@@ -85,8 +85,7 @@ class Bench:
     def refused(self, message: JointSetpoints) -> str:
         """Send a message that must be refused; returns the reason that is published."""
         before, count = self.reference.position, self.rejections.count(JOINT_SETPOINTS.name)
-        assert not self.send(message)
-        assert self.rejections.count(JOINT_SETPOINTS.name) == count + 1
+        assert not self.send(message) and self.rejections.count(JOINT_SETPOINTS.name) == count + 1
         (rejection,) = self.rejections.take()
         assert (rejection.topic, rejection.origin) == (JOINT_SETPOINTS.name, "somebody")
         assert "\n" not in rejection.reason
@@ -123,8 +122,7 @@ def test_joints_are_open_exactly_where_the_tables_say(behavior: Behavior, group:
         assert bench.send(message)
     else:
         reason = bench.refused(message)
-        assert repr(names[0]) in reason
-        assert behavior in reason
+        assert repr(names[0]) in reason and behavior in reason
 
 
 def test_a_message_with_one_closed_joint_is_refused_whole() -> None:
@@ -152,8 +150,7 @@ def test_a_broken_message_is_refused_with_its_reason_and_moves_nothing(manipulat
     message = manipulating.message(names, position, velocity)
     message.acceleration = np.full(len(names), np.nan if what == "acceleration" else 0.0)
     reason = manipulating.refused(message)
-    assert expected in reason
-    assert len(reason) < 300
+    assert expected in reason and len(reason) < 300
 
 
 def test_stale_messages_and_those_of_another_world_are_refused(manipulating: Bench) -> None:
@@ -227,8 +224,7 @@ def test_soft_stop_holds_arms_that_are_on_their_way() -> None:
     bench.run(0.5)
     held = bench.reference.position.copy()
     bench.run(1.0)
-    assert np.array_equal(bench.reference.position, held)
-    assert not np.allclose(held, ROBOT.nominal_posture)
+    assert np.array_equal(bench.reference.position, held) and not np.allclose(held, ROBOT.nominal_posture)
 
 
 def test_the_same_refusal_is_counted_always_and_published_seldom(manipulating: Bench) -> None:
@@ -236,8 +232,7 @@ def test_the_same_refusal_is_counted_always_and_published_seldom(manipulating: B
         assert not manipulating.send(manipulating.message(["tail"], [0.1]))
     assert manipulating.rejections.count(JOINT_SETPOINTS.name) == 1000
     published = manipulating.rejections.take()
-    assert 1 <= len(published) <= 10
-    assert published[0].count == 1
+    assert 1 <= len(published) <= 10 and published[0].count == 1
 
 
 numbers = st.one_of(st.floats(), st.floats(-4, 4), st.sampled_from([np.nan, np.inf, -np.inf, 1e308, -1e154, 0.0]))

@@ -13,8 +13,7 @@ from valor.robot import step_plan
 @pytest.mark.parametrize("name", resources.names("plan"))
 def test_every_example_plan_is_found_by_name_and_can_be_read(name: str) -> None:
     file = resources.file_of("plan", name)
-    assert file == REPOSITORY / "examples" / "plans" / f"{name}.yaml"
-    assert step_plan.load(file).steps
+    assert file == REPOSITORY / "examples" / "plans" / f"{name}.yaml" and step_plan.load(file).steps
 
 
 def test_other_files_are_found_by_path_and_missing_ones_named(tmp_path: Path) -> None:

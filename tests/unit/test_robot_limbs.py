@@ -73,8 +73,7 @@ def test_hands_that_are_not_there_feel_nothing(one_armed: RobotDescription) -> N
     loop = ClosedLoop(one_armed, "hardware")
     sensors = Sensors(one_armed, loop.plant, one_armed.tables.actuators["hardware"].noise, 0)
     measured = sensors.measure(1, 1)
-    assert not measured.left_hand_wrench.any()
-    assert measured.right_hand_wrench.all()
+    assert not measured.left_hand_wrench.any() and measured.right_hand_wrench.all()
 
 
 def test_a_goal_for_a_hand_that_is_not_there_is_refused(one_armed: RobotDescription) -> None:
@@ -84,8 +83,7 @@ def test_a_goal_for_a_hand_that_is_not_there_is_refused(one_armed: RobotDescript
         goal = HandGoal(0, 0, active, "pelvis", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
         with pytest.raises(RefusalError, match="no left hand"):
             handler.execute(Received(goal, 0, 1, "test"), 0)
-    assert list(manager.components.hand_goals.sides) == [1]
-    assert not manager.components.hand_goals.leads(0)
+    assert list(manager.components.hand_goals.sides) == [1] and not manager.components.hand_goals.leads(0)
 
 
 def test_where_nothing_can_be_led_nobody_manipulates(legs: RobotDescription) -> None:
@@ -117,8 +115,7 @@ def test_tf_and_the_description_have_no_frames_of_what_is_not_there(robot: Robot
     tree = read(robot)
     sites = {frame.target for frame in tree.frames}
     hands = {side: hand.site for side, hand in robot.tables.hands.present()}
-    assert set(hands.values()) <= sites
-    assert ("l_gripper" in tree.urdf) is ("left" in hands)
+    assert set(hands.values()) <= sites and ("l_gripper" in tree.urdf) is ("left" in hands)
 
 
 def test_a_preset_of_a_limb_that_is_not_there_is_refused(one_armed: RobotDescription) -> None:

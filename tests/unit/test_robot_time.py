@@ -63,8 +63,7 @@ def test_it_keeps_to_the_wall_when_nobody_is_there_yet(
     robot: SimulatedRobot, pass_time: Callable[[float], None]
 ) -> None:
     pass_time(0.2)
-    assert robot.time == pytest.approx(0.2, abs=STEP)
-    assert robot.slip == pytest.approx(0.0, abs=STEP)
+    assert robot.time == pytest.approx(0.2, abs=STEP) and robot.slip == pytest.approx(0.0, abs=STEP)
 
 
 @pytest.mark.parametrize("ask", [command, SimulatedRobot.state_requested], ids=["command", "state"])

@@ -65,8 +65,7 @@ def test_presets_are_complete_within_limits_and_mirrored(robot: RobotDescription
             assert list(posture) == robot.tables.groups[f"{side}_{limb}"]
             for name, angle in posture.items():
                 joint = robot.tables.joints[name]
-                assert joint.lower is not None
-                assert joint.upper is not None
+                assert joint.lower is not None and joint.upper is not None
                 assert joint.lower <= angle <= joint.upper, (preset, name)
         for name, angle in sides["left"].items():
             assert sides["right"][other_side(name)] == (-angle if name.endswith(LATERAL) else angle)
@@ -78,8 +77,7 @@ def test_models_carry_the_numbers_of_robot_yaml(model: Model) -> None:
     for name in model.joints:
         joint, table = mj.joint(name), tables.joints[name]
         dof = joint.dofadr[0]
-        assert mj.dof_armature[dof] == table.armature
-        assert mj.dof_damping[dof] == table.damping
+        assert mj.dof_armature[dof] == table.armature and mj.dof_damping[dof] == table.damping
         assert bool(joint.limited[0]) == (table.lower is not None)
         if table.lower is not None and table.upper is not None:
             np.testing.assert_allclose(joint.range, (table.lower, table.upper))
@@ -90,8 +88,7 @@ def test_models_carry_the_numbers_of_robot_yaml(model: Model) -> None:
 def test_controller_model_moves_the_whole_body_joints_only(name: str) -> None:
     robot, model = ALL[name], CONTROLLER[name]
     expected = [joint for group in WHOLE_BODY_GROUPS for joint in robot.tables.groups[group]]
-    assert sorted(model.joints) == sorted(expected)
-    assert model.mj.nv == 6 + 27
+    assert sorted(model.joints) == sorted(expected) and model.mj.nv == 6 + 27
     assert isinstance(model.dof, slice)  # views, not copies, in the control loop
     assert isinstance(model.joint_indices, slice)
 
@@ -219,8 +216,7 @@ ARM = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow_pitch", "wrist_
 def test_has_34_joints_with_roll_yaw_roll_wrists_and_grippers_of_two() -> None:
     expected = {f"{side}_{name}" for side in "lr" for name in (*LEG, *ARM, "f0_j0", "f1_j0")}
     expected |= {"waist_yaw", "neck_yaw", "neck_pitch", "lidar_roll"}
-    assert set(ROBOT.joints) == expected
-    assert len(ROBOT.joints) == 34
+    assert set(ROBOT.joints) == expected and len(ROBOT.joints) == 34
     axes = [MODEL.mj.jnt_axis[MODEL.mj.joint(f"l_{name}").id].tolist() for name in ARM[-3:]]
     assert axes == [[1, 0, 0], [0, 0, 1], [1, 0, 0]]
 
@@ -232,8 +228,7 @@ def test_mass_and_lengths_are_the_published_ones() -> None:
     top = max(data.geom_xpos[i][2] + MODEL.mj.geom_size[i][2] for i in head)
     assert top == pytest.approx(1.78, abs=0.02)
     hip, knee, ankle = (data.body(name).xpos for name in ("l_thigh", "l_shin", "l_foot"))
-    assert hip[1] == pytest.approx(0.094)
-    assert hip[2] - knee[2] == pytest.approx(0.379)
+    assert hip[1] == pytest.approx(0.094) and hip[2] - knee[2] == pytest.approx(0.379)
     assert knee[2] - ankle[2] == pytest.approx(0.380)
     assert data.site("l_sole").xpos[2] == pytest.approx(0.0, abs=1e-9)
     foot = ROBOT.tables.feet.left

@@ -65,8 +65,7 @@ def test_a_node_stands_in_the_namespace_with_its_frames_and_its_time() -> None:
     ],
 )
 def test_what_stands_in_another_namespace_is_not_ours(topic: str, ours: bool) -> None:
-    assert shown(topic, "a") is ours
-    assert shown(topic) is ("/_" not in topic)
+    assert shown(topic, "a") is ours and shown(topic) is ("/_" not in topic)
 
 
 def test_a_domain_is_shared_and_the_ports_that_go_with_one_are_not(tmp_path: Path) -> None:
@@ -128,8 +127,7 @@ def test_a_free_domain_is_chosen(key: str, taken: set[int], busy: set[int]) -> N
             choose(key, taken, lambda domain: domain not in busy)
         return
     domain = choose(key, taken, lambda domain: domain not in busy)
-    assert domain in DOMAINS
-    assert domain not in taken | busy
+    assert domain in DOMAINS and domain not in taken | busy
     assert domain == choose(key, taken, lambda domain: domain not in busy)
 
 
@@ -142,15 +140,13 @@ def test_an_instance_retakes_its_domain_from_ros_clients_but_not_from_instances(
         participant.bind(("127.0.0.1", discovery_port(domain)))
         assert not is_free(domain)
         with ros_domain.retake(domain) as again:
-            assert again.domain == domain
-            assert is_reserved(domain)
+            assert again.domain == domain and is_reserved(domain)
     assert is_free(domain)
 
 
 def test_ports_of_domains_are_disjoint_and_not_ephemeral() -> None:
     ports = [port for domain in (0, *DOMAINS) for port in daemon_ports(domain)]
-    assert len(set(ports)) == len(ports)
-    assert max(ports) < 32768
+    assert len(set(ports)) == len(ports) and max(ports) < 32768
 
 
 def test_domains_of_other_instances_are_taken(tmp_path: Path) -> None:
@@ -203,5 +199,4 @@ def test_however_long_a_flood_lasts_it_is_bounded_in_lines_and_memory() -> None:
             break
         passed += sieve.passes(i, str(i))
         assert len(sieve._seen) <= 4 * Sieve.IN_ALL
-    assert passed <= Sieve.IN_ALL * (seconds + 1)
-    assert passed + sieve.omitted() == i
+    assert passed <= Sieve.IN_ALL * (seconds + 1) and passed + sieve.omitted() == i

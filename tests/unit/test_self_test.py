@@ -20,8 +20,7 @@ def result_of(robot: RobotDescription, name: str) -> AcceptanceResult:
 def test_a_valid_robot_passes(name: str) -> None:
     result = result_of(load_robot("thor"), name)
     assert result.passed, result.reason
-    assert result.numbers is not None and result.numbers.tilt < 0.1
-    assert result.numbers.unsolved == 0
+    assert result.numbers is not None and result.numbers.tilt < 0.1 and result.numbers.unsolved == 0
 
 
 def test_the_tests_depend_on_the_limbs() -> None:
@@ -33,8 +32,7 @@ def test_the_tests_depend_on_the_limbs() -> None:
 def test_a_failed_test_states_why() -> None:
     robot = load_robot("escher", nominal_posture={"l_ankle_pitch": -0.3, "r_ankle_pitch": -0.3})
     result = result_of(robot, "passive")
-    assert not result.passed
-    assert "expected" in result.reason
+    assert not result.passed and "expected" in result.reason
 
 
 def test_a_robot_that_cannot_be_loaded_fails(tmp_path: Path) -> None:

@@ -114,8 +114,7 @@ def test_states_are_joint_positions_and_time_is_the_controllers(bench: Bench) ->
     rest = np.linspace(-0.3, 0.3, len(NAMES))
     for _ in range(3):
         measured = bench.exchange(rest + OFFSET)
-    assert measured.position == pytest.approx(rest, abs=1e-6)
-    assert measured.effort == pytest.approx(2.0)
+    assert measured.position == pytest.approx(rest, abs=1e-6) and measured.effort == pytest.approx(2.0)
     assert bench.driver.elapsed == 2 * 4_000_000, "between three SYNCs"
     assert bench.driver.records[0].temperature == pytest.approx(31.0)
     assert bench.driver.records[0].voltage == pytest.approx(48.0)
@@ -152,8 +151,7 @@ def test_an_encoder_that_jumps_is_not_accepted_and_its_joint_held_by_what_it_say
         measured = bench.exchange(jumped)
         assert measured.position[knee] == pytest.approx(0.0, abs=1e-6), attempt
     (unit_fault,) = bench.driver.unit_faults
-    assert (unit_fault.unit, unit_fault.fault) == ("2", Fault.ENCODER)
-    assert "l_knee_pitch" in unit_fault.detail
+    assert (unit_fault.unit, unit_fault.fault) == ("2", Fault.ENCODER) and "l_knee_pitch" in unit_fault.detail
     bench.driver.command = command(JointMode.FORCE)
     bench.driver._send_command()
     told = bench.commands()
@@ -172,8 +170,7 @@ def test_one_wild_position_is_skipped(bench: Bench) -> None:
     bench.exchange(wild)
     measured = bench.exchange(OFFSET)
     assert measured.position[0] == pytest.approx(0.0, abs=1e-6)
-    assert not bench.driver.unit_faults
-    assert bench.driver.records[0].errors == 1
+    assert not bench.driver.unit_faults and bench.driver.records[0].errors == 1
 
 
 def test_a_controller_without_power_is_switched_on_again_only_where_that_moves_nothing(bench: Bench) -> None:

@@ -60,8 +60,7 @@ def test_the_hardware_plant_differs_from_the_controllers_model_by_at_most_what_t
     mj = plant("hardware").model.mj
     profile = ROBOT.tables.actuators["hardware"]
     ratios = [mj.body(NOMINAL.mj.body(i).name).mass[0] / NOMINAL.mj.body_mass[i] for i in range(1, NOMINAL.mj.nbody)]
-    assert max(ratios) <= 1 + profile.mass_error
-    assert min(ratios) >= 1 - profile.mass_error
+    assert max(ratios) <= 1 + profile.mass_error and min(ratios) >= 1 - profile.mass_error
     assert np.std(ratios) > 0.3 * profile.mass_error
     robot = plant("hardware")
     friction = robot.model.mj.dof_frictionloss[robot.model.dof]
@@ -95,8 +94,7 @@ def test_the_ideal_plant_is_the_controllers_model() -> None:
     mj = plant("ideal").model.mj
     for i in range(1, NOMINAL.mj.nbody):
         assert mj.body(NOMINAL.mj.body(i).name).mass[0] == NOMINAL.mj.body_mass[i]
-    assert not mj.dof_frictionloss.any()
-    assert mj.opt.timestep == ROBOT.tables.physics_step
+    assert not mj.dof_frictionloss.any() and mj.opt.timestep == ROBOT.tables.physics_step
     assert mj.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
 
@@ -111,8 +109,7 @@ def test_standing_feet_carry_the_weight_and_the_imu_feels_gravity(profile: str) 
     # The CoP of each foot is inside its sole.
     for wrench, foot in ((left, ROBOT.tables.feet.left), (right, ROBOT.tables.feet.right)):
         x, y = -wrench[4] / wrench[2], wrench[3] / wrench[2]
-        assert foot.heel < x < foot.toe
-        assert abs(y) < foot.half_width
+        assert foot.heel < x < foot.toe and abs(y) < foot.half_width
     hands = np.mean([np.concatenate((m.left_hand_wrench, m.right_hand_wrench)) for m in measured], axis=0)
     np.testing.assert_allclose(hands, 0, atol=1.0)
     gravity = np.mean([m.imu_linear_acceleration for m in measured], axis=0)
@@ -187,8 +184,7 @@ def test_encoders_have_a_resolution_and_the_imu_a_bias() -> None:
     first, second = measured.imu_orientation, devices.measure(2, 2).imu_orientation
     np.testing.assert_array_equal(first, second)
     tilt = 2 * first[1:]
-    assert 0 < np.linalg.norm(tilt[:2]) < 0.25
-    assert abs(tilt[2]) < 0.01
+    assert 0 < np.linalg.norm(tilt[:2]) < 0.25 and abs(tilt[2]) < 0.01
 
 
 def test_divergence_is_an_error_not_a_reset() -> None:

@@ -84,8 +84,7 @@ def test_a_motor_that_is_not_is_named(changes: dict[str, Any], words: str) -> No
     tried, writer = checks.MotorChecks(ROBOT), Writer()
     assert not tried.find(writer.motor())
     found = tried.find(writer.motor(**changes))
-    assert len(found) == 1
-    assert words in found[0]
+    assert len(found) == 1 and words in found[0]
 
 
 def test_memory_that_grows_after_the_start_is_found() -> None:

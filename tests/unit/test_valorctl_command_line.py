@@ -74,8 +74,7 @@ def test_a_named_instance_is_used(arguments: list[str], monkeypatch: pytest.Monk
     (tmp_path / "x" / "instance.json").write_text(Settings(robot=tmp_path, ros_domain_id=7).json())
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    assert "export VALOR_INSTANCE=x\n" in result.output
-    assert "export ROS_DOMAIN_ID=7\n" in result.output
+    assert "export VALOR_INSTANCE=x\n" in result.output and "export ROS_DOMAIN_ID=7\n" in result.output
 
 
 @pytest.mark.parametrize("arguments", [["--instance", "x", "topic", "list"], ["topic", "list", "--instance", "x"]])
@@ -111,8 +110,7 @@ def test_every_number_can_be_an_argument(impulse: tuple[float, float, float]) ->
 )
 def test_a_wrong_command_line_is_status_2(arguments: list[str]) -> None:
     result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 2
-    assert "Error" in result.output
+    assert result.exit_code == 2 and "Error" in result.output
 
 
 @pytest.mark.parametrize(
@@ -177,8 +175,7 @@ def test_the_flags_are_those_of_the_message() -> None:
 )
 def test_a_mode_is_reached_when_it_is_the_current_one(status: int, current: str, reached: bool) -> None:
     change = ModeChange("stand", current, status, 0.1, "leg tired")
-    assert change.reached is reached
-    assert ("rejected" in change.describe()) is not reached
+    assert change.reached is reached and ("rejected" in change.describe()) is not reached
     assert ("leg tired" in change.describe()) is not reached
 
 
@@ -197,8 +194,7 @@ def test_a_mode_is_reached_when_it_is_the_current_one(status: int, current: str,
 def test_foreseeable_errors_take_one_line(arguments: list[str], call: Call) -> None:
     status, out, err = call(*arguments)
     assert (status, out) == (1, "")
-    assert err.startswith("valorctl: ")
-    assert err.count("\n") == 1
+    assert err.startswith("valorctl: ") and err.count("\n") == 1
 
 
 def test_every_topic_and_service_is_in_the_catalogue(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

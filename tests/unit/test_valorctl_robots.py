@@ -77,9 +77,7 @@ def test_an_unsuitable_model_is_rejected_in_one_line(
     status = run(monkeypatch, "new", "a.xml", "--name", "mine", "--yes")
     err = capsys.readouterr().err
     assert status == 1
-    assert err.startswith("valorctl: a.xml: ")
-    assert words in err
-    assert err.count("\n") == 1
+    assert err.startswith("valorctl: a.xml: ") and words in err and err.count("\n") == 1
     assert sorted(file.name for file in here.iterdir()) == before
 
 
@@ -134,9 +132,7 @@ def test_an_undriven_joint_causes_a_question(tmp_path: Path) -> None:
     motors = "".join(f'<motor joint="{name}"/>' for name in driven)
     model = MODEL.read_text().replace("</mujoco>", f"<actuator>{motors}</actuator></mujoco>")
     questions, _, _ = asked_of(model, tmp_path, {})
-    assert len(questions) == 1
-    assert "neck_yaw" in questions[0].text
-    assert questions[0].guess == "weld"
+    assert len(questions) == 1 and "neck_yaw" in questions[0].text and questions[0].guess == "weld"
     file = tmp_path / "a.xml"
     assert list(find_skeleton(Source(file)).passive.hinges.values()) == [False]
     assert find_skeleton(Source(file, lambda question: "servo")).passive.hinges == {}

@@ -27,8 +27,7 @@ def test_every_row_of_the_process_table_becomes_a_program() -> None:
     for process in PROCESSES:
         program = parser[f"program:{process.name}"]
         assert shlex.split(program["command"])[-2:] == ["-m", process.module]
-        assert program["exitcodes"] == str(EXIT_CONFIGURATION)
-        assert program["autorestart"] == "unexpected"
+        assert program["exitcodes"] == str(EXIT_CONFIGURATION) and program["autorestart"] == "unexpected"
         assert program["stopasgroup"] == program["killasgroup"] == "true"
         assert int(program["stopwaitsecs"]) >= process.stop_timeout - 0.5
     assert "inet_http_server" not in parser.sections()  # listens on no network
@@ -42,8 +41,7 @@ def test_processes_get_one_thread_each_and_the_instance(tmp_path: Path) -> None:
     made = supervisor_config.environment(instance, "/usr/bin/python3", {"KEPT": "1", "ROS_DOMAIN_ID": "0"})
     assert made["KEPT"] == made["OPENBLAS_NUM_THREADS"] == made["OMP_NUM_THREADS"] == "1"
     assert (made["ROS_DOMAIN_ID"], made["VALOR_INSTANCE"], made["VALOR_HOME"]) == ("7", "x", str(tmp_path))
-    assert SUPERVISED in made
-    assert SUPERVISED not in instance.environment()
+    assert SUPERVISED in made and SUPERVISED not in instance.environment()
 
 
 def test_a_home_too_long_for_a_socket_is_rejected(tmp_path: Path) -> None:

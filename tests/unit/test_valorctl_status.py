@@ -108,10 +108,8 @@ def test_a_standing_robot_needs_no_command() -> None:
         FALLEN, behavior="stand", condition=Condition("requested by somebody", 1.0, time.time() - 44.0, None)
     )
     text = "\n".join(shown(standing, 120))
-    assert "behavior stand for 44 s: requested by somebody" in text
-    assert "→" not in text
-    assert standing.as_json()["way_out"] is None
-    assert standing.as_json()["fallen"] is False
+    assert "behavior stand for 44 s: requested by somebody" in text and "→" not in text
+    assert standing.as_json()["way_out"] is None and standing.as_json()["fallen"] is False
 
 
 # State of a process from supervisord and from its own reports; restarts; arm motions' duration.
@@ -150,9 +148,7 @@ def test_the_state_combines_supervisord_and_report(
     process: ProcessInfo, said: ProcessReport | None, state: str, detail: str
 ) -> None:
     health = judge(process, said, NOW, restarts=3)
-    assert health.state == state
-    assert detail in health.detail
-    assert health.restarts == 3
+    assert health.state == state and detail in health.detail and health.restarts == 3
 
 
 @pytest.mark.parametrize("said", [report("ready", age=569.0), report("starting"), None])

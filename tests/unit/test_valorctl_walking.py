@@ -93,9 +93,7 @@ def test_a_walk_ends_when_robot_time_restarts() -> None:
     run.consider([*walked, motion_state(time=10**9), motion_state(time=2 * 10**9)])
     assert run.over
     result = run.result()
-    assert result.duration == 3.0
-    assert result.distance == pytest.approx(0.9)
-    assert "restarted" in result.reason
+    assert result.duration == 3.0 and result.distance == pytest.approx(0.9) and "restarted" in result.reason
 
 
 # Footstep plans from files and from the planner of `step`.
@@ -155,8 +153,7 @@ def test_the_planner_ends_exactly_at_its_goal_within_the_limits(
     taken = convert(message(steps, width), StepRule(limits, ROBOT.tables.feet))
     feet = {step.foot: step.sole for step in taken[-2:]}
     end = middle(feet[0], feet[1])
-    assert math.dist(end.position, (x, y, 0.0)) < 1e-9
-    assert abs(math.remainder(end.yaw - yaw, math.tau)) < 1e-9
+    assert math.dist(end.position, (x, y, 0.0)) < 1e-9 and abs(math.remainder(end.yaw - yaw, math.tau)) < 1e-9
     assert math.dist(feet[0].position, feet[1].position) == pytest.approx(width)
 
 
@@ -182,8 +179,7 @@ def test_an_invalid_file_is_rejected_in_one_line(tmp_path: Path, text: str, erro
     file.write_text(text)
     with pytest.raises(ConfigurationError) as refused:
         load(file)
-    assert error in str(refused.value)
-    assert "\n" not in str(refused.value)
+    assert error in str(refused.value) and "\n" not in str(refused.value)
 
 
 # Demonstrations of which a part fails.

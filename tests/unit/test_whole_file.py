@@ -32,8 +32,7 @@ def test_a_reader_of_the_old_file_continues_to_read_it(tmp_path: Path) -> None:
     with open(file) as old:
         whole_file.write(file, b"new, and longer")
         assert old.read() == "old"
-    assert file.read_text() == "new, and longer"
-    assert list(tmp_path.iterdir()) == [file]
+    assert file.read_text() == "new, and longer" and list(tmp_path.iterdir()) == [file]
 
 
 def test_a_failed_write_leaves_the_old_file_only(tmp_path: Path) -> None:
@@ -41,8 +40,7 @@ def test_a_failed_write_leaves_the_old_file_only(tmp_path: Path) -> None:
     whole_file.write(file, "old")
     with pytest.raises(OSError, match="File too large") as raised, full_disk():
         whole_file.write(file, bytes(4096))
-    assert raised.value.filename == str(file)
-    assert file.read_text() == "old"
+    assert raised.value.filename == str(file) and file.read_text() == "old"
     assert list(tmp_path.iterdir()) == [file]
 
 

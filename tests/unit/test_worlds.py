@@ -19,8 +19,7 @@ DIRT = _dirt
 @pytest.mark.parametrize("name", worlds.WORLDS)
 def test_name_and_seed_say_everything(name: str) -> None:
     first, again, other = (worlds.load(name, seed).to_xml() for seed in (3, 3, 4))
-    assert first == again
-    assert (first == other) == (name in ("flat", "stairs", "stairs_15cm"))
+    assert first == again and (first == other) == (name in ("flat", "stairs", "stairs_15cm"))
 
 
 @pytest.mark.parametrize("name", worlds.WORLDS)
@@ -37,8 +36,7 @@ def test_the_robot_stands_on_level_ground_at_the_start(name: str) -> None:
 @pytest.mark.parametrize(("name", "rise"), [("stairs", 0.10), ("stairs_15cm", 0.15)])
 def test_stairs_lead_up_and_down_where_the_table_states(name: str, rise: float) -> None:
     stairs = worlds.WORLDS[name]
-    assert isinstance(stairs, Stairs)
-    assert stairs.up == pytest.approx([0.5, 0.8, 1.1])
+    assert isinstance(stairs, Stairs) and stairs.up == pytest.approx([0.5, 0.8, 1.1])
     assert stairs.down == pytest.approx([2.3, 2.6, 2.9])
     edges = np.array([*stairs.up, *stairs.down])
     levels = rise * np.array([1, 2, 3, 2, 1, 0])
@@ -59,15 +57,12 @@ def test_the_dirt_has_slopes_of_five_degrees_and_bumps_of_two_centimetres(seed: 
     assert (steepness[np.ix_(near, on_course)] > 4.5).mean() > 0.2, "patches, not a point"
     bumps = DIRT.bumps(rng)
     rough = bumps[:, DIRT.x > 1.6]
-    assert 0.015 < np.abs(rough).max() <= 0.02
-    assert 0.006 < rough.std() < 0.010
+    assert 0.015 < np.abs(rough).max() <= 0.02 and 0.006 < rough.std() < 0.010
     assert not bumps[:, np.abs(DIRT.x) < 0.6].any()
 
 
 def test_the_dirt_reaches_beyond_the_finish_and_the_physics_sees_the_generators_heights() -> None:
-    assert DIRT.course == 61.0
-    assert DIRT.x[-1] >= 65.0
-    assert abs(DIRT.y[0]) >= 3.0
+    assert DIRT.course == 61.0 and DIRT.x[-1] >= 65.0 and abs(DIRT.y[0]) >= 3.0
     rng = np.random.default_rng([7, 2])
     made = DIRT.slopes(rng) + DIRT.bumps(rng)
     columns, rows = np.arange(60, 1300, 77), np.arange(20, 140, 31)
@@ -79,9 +74,7 @@ def test_the_dirt_reaches_beyond_the_finish_and_the_physics_sees_the_generators_
 def test_the_rubble_is_up_to_four_centimetres_high_and_begins_beyond_the_toes(seed: int) -> None:
     x, y = np.linspace(0.7, 3.2, 120), np.linspace(-0.5, 0.5, 50)
     met = worlds.heights("rubble", seed, x, y)
-    assert met.min() >= 0.0
-    assert 0.035 < met.max() <= 0.04
-    assert 0.6 < (met > 0.002).mean() < 0.99
+    assert met.min() >= 0.0 and 0.035 < met.max() <= 0.04 and 0.6 < (met > 0.002).mean() < 0.99
     before = worlds.heights("rubble", seed, np.linspace(0.0, 0.59, 40), y)
     np.testing.assert_allclose(before, 0.0, atol=1e-6)
 

@@ -50,8 +50,7 @@ def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningIn
     assert bags(instance) == [saved] and saved.stem.endswith("_snap") and recover(saved).finished
     found = counts(saved)
     assert found["/robot_description"] == 1 and sum(found.values()) == reply.messages
-    assert 0 < found[MOTORS] < len(stream.sent) - 50
-    assert newest(saved, MOTORS) > 250
+    assert 0 < found[MOTORS] < len(stream.sent) - 50 and newest(saved, MOTORS) > 250
 
     def fallen() -> list[Path]:
         states.publish(motion_state(behavior="fall", contacts=np.zeros(2, np.uint8)))
@@ -77,8 +76,7 @@ def test_the_last_seconds_are_saved_when_asked_and_on_a_fall(instance: RunningIn
     marked = Path(client.call(SnapRequest(), timeout=20.0).path)
     assert ("mark", "the hand slips") in events(marked)
     stream.stop()
-    assert instance.stop("bag_recorder") == 0
-    assert len(bags(instance)) == 3
+    assert instance.stop("bag_recorder") == 0 and len(bags(instance)) == 3
 
 
 def events(bag: Path) -> list[tuple[str, str]]:

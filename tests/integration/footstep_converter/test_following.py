@@ -96,8 +96,7 @@ def test_feedback_comes_ten_times_a_second_and_with_every_step(
         for f in goal.feedback
         if f.controller_state == f.ACTIVE
     ]
-    assert {executing for _, executing, _ in indices} >= {1, 2, 3}
-    assert indices == sorted(indices)
+    assert {executing for _, executing, _ in indices} >= {1, 2, 3} and indices == sorted(indices)
 
 
 def test_steps_that_begin_before_the_acceptance_is_received_are_reported(

@@ -61,17 +61,13 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
         "comms_manager": "ready",
         "motion_manager": "ready",
     }
-    assert seen["robot"] == "escher"
-    assert seen["behavior"]
-    assert seen["clock"]["mode"] == "lockstep"
+    assert seen["robot"] == "escher" and seen["behavior"] and seen["clock"]["mode"] == "lockstep"
     factor = wait_until(
         lambda: ctl.status()["clock"]["real_time_factor_since_start"], 30.0, "robot time for a real-time factor"
     )
     assert 0 < factor <= 1
     for service in seen["services"].values():
-        assert service["restarts"] == 0
-        assert service["memory_mib"] > 10
-        assert service["cpu_percent"] >= 0
+        assert service["restarts"] == 0 and service["memory_mib"] > 10 and service["cpu_percent"] >= 0
     ctl.assert_private()
     assert "comms_manager" in ctl("status")
     assert "ui.perfetto.dev" in ctl("trace", "--for", "2", "--out", str(ctl.home / "trace.json"))
@@ -84,8 +80,7 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
         comms = ctl.pid("comms_manager")
         for thread in os.listdir(f"/proc/{comms}/task"):
             assert turns(int(thread)).length == after(lambda: take_turns("short")).length
-    assert "pushed" in ctl("push", "-1.5", "0", "-.5")
-    assert "finite" in ctl("push", "nan", "0", "0", status=2)
+    assert "pushed" in ctl("push", "-1.5", "0", "-.5") and "finite" in ctl("push", "nan", "0", "0", status=2)
     assert "bifrostd" in ctl("logs", "-n", "300")
     watched(ctl)
     lean(ctl)
@@ -100,10 +95,8 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     ctl.assert_private()
     assert not accepts(network["host"], network["port"])
     assert [file for file in held if os.path.exists(file)] == []
-    assert "not up" in ctl("down")
-    assert "not up" in ctl("status", status=1)
-    assert "not up" in ctl("trace", status=1)
-    assert "bifrostd" in ctl("logs")
+    assert "not up" in ctl("down") and "not up" in ctl("status", status=1)
+    assert "not up" in ctl("trace", status=1) and "bifrostd" in ctl("logs")
 
 
 def test_a_shell_that_joined_outlives_down(ctl: Cli) -> None:

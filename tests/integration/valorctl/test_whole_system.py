@@ -106,13 +106,11 @@ def refusals(instance: Instance) -> int:
 def without_supervisor(ctl: Cli) -> None:
     """What runs obeys, and is shown."""
     os.kill(ctl.supervisord(), signal.SIGKILL)
-    assert "accepted" in ctl("mode", "soft_stop")
-    assert "accepted" in ctl("mode", "stand")
+    assert "accepted" in ctl("mode", "soft_stop") and "accepted" in ctl("mode", "stand")
     assert json.loads(ctl("stop", "--json"))["state"] == "soft_stop"
     assert "supervisor does not respond" in ctl("status", status=1)
     seen = ctl.status()
-    assert not seen["supervised"]
-    assert {service["state"] for service in seen["services"].values()} == {"ready"}
+    assert not seen["supervised"] and {service["state"] for service in seen["services"].values()} == {"ready"}
     assert seen["way_out"] == "valorctl mode stand"
 
 
@@ -180,9 +178,7 @@ def fallen(ctl: Cli) -> None:
         return seen if seen["fallen"] and seen["bag"] else None  # the recorder writes twice a second
 
     seen = wait_until(recorded, PATIENCE, "the fall is seen and recorded", 0.5)
-    assert seen["reason"]
-    assert seen["since_s"] > 0
-    assert seen["way_out"] == "valorctl reset"
+    assert seen["reason"] and seen["since_s"] > 0 and seen["way_out"] == "valorctl reset"
     assert seen["bag"] == str(ctl.home / "whole.mcap")
 
 
@@ -199,8 +195,7 @@ def stands(ctl: Cli, bag: Path, reported: str) -> None:
 
     ctl.assert_private(bag)
     listening = [port for process in ctl.processes() for port in ports(process.pid)]
-    assert len(listening) >= len(processes)
-    assert {mechanism(port) for port in listening} == {"CURVE"}
+    assert len(listening) >= len(processes) and {mechanism(port) for port in listening} == {"CURVE"}
 
 
 def tables_are_shown(ctl: Cli) -> None:
@@ -208,8 +203,7 @@ def tables_are_shown(ctl: Cli) -> None:
     seen = ctl.status()["services"]["motion_manager"]
     assert (seen["needs"], seen["cpu_budget_percent"]) == (["bifrostd"], BY_NAME["motion_manager"].cpu_budget)
     [motor] = [topic for topic in json.loads(ctl("topic", "list", "--json")) if topic["name"] == MOTOR.name]
-    assert motor["catalogue"]["rate_hz"] == 500.0
-    assert motor["catalogue"]["may_publish"] == ["motion_manager"]
+    assert motor["catalogue"]["rate_hz"] == 500.0 and motor["catalogue"]["may_publish"] == ["motion_manager"]
     [line] = [line for line in ctl("topic", "list").splitlines() if line.startswith(MOTOR.name)]
     assert line.split()[1:3] == ["Motor", "motion_manager"] and line.endswith(f"500  {MOTOR.description}")
     assert f"description: {MOTOR.description}" in ctl("topic", "info", MOTOR.name)
@@ -219,33 +213,27 @@ def tables_are_shown(ctl: Cli) -> None:
 def arms_obey(ctl: Cli) -> None:
     """In the mode that lets them, and then go where they are commanded."""
     refused = ctl("arm", "left", "forward", status=1)
-    assert "left_arm_traj_controller" in refused
-    assert "stand_manipulate" in refused
-    assert "MODE_ACCEPTED" in ctl("mode", "stand_manipulate")
-    assert "already" in ctl("mode", "stand_manipulate")
+    assert "left_arm_traj_controller" in refused and "stand_manipulate" in refused
+    assert "MODE_ACCEPTED" in ctl("mode", "stand_manipulate") and "already" in ctl("mode", "stand_manipulate")
     assert "expected one of" in ctl("mode", "backflip", status=1)
     shown = json.loads(ctl("mode", "--json"))
     assert (shown["control_mode"], shown["behavior"]) == ("stand_manipulate", "stand_manipulate")
     assert "forward" in ctl("arm", "left", "backflip", status=1)
     moved = json.loads(ctl("arm", "left", "forward", "--json"))
-    assert moved["arrived"]
-    assert abs(moved["worst_error_rad"]) < moved["tolerance_rad"]
+    assert moved["arrived"] and abs(moved["worst_error_rad"]) < moved["tolerance_rad"]
 
 
 def walks(ctl: Cli) -> None:
     """At a velocity, for a while, without falling."""
     walked = json.loads(ctl("walk", "--vx", "0.3", "--for", "4", "--json"))
-    assert not walked["fell"]
-    assert 0.5 < walked["distance_m"] < 2.0
-    assert walked["mean_dcm_error_m"] < 0.03
+    assert not walked["fell"] and 0.5 < walked["distance_m"] < 2.0 and walked["mean_dcm_error_m"] < 0.03
     assert "finite" in ctl("walk", "--vx", "nan", status=2)
 
 
 def steps(ctl: Cli) -> None:
     """Steps to a goal."""
     stepped = json.loads(ctl("step", "--to", "0.25", "0.05", "0.2", "--relative", "--json"))
-    assert stepped["reached"]
-    assert stepped["largest_error_m"] < 0.03
+    assert stepped["reached"] and stepped["largest_error_m"] < 0.03
     assert stepped["largest_error_rad"] < math.radians(3.0)
     assert "finite" in ctl("step", "--to", "nan", "0", "0", status=2)
     assert json.loads(ctl("mode", "--json"))["control_mode"] == "stand_manipulate"

@@ -49,8 +49,7 @@ def test_within_its_range_every_value_arrives_within_half_a_step(
     reference = None if before is None else CODEC.quantise(before)
     data = CODEC.encode(CODEC.quantise(values), reference, distance)
     frame = CODEC.decode(data, reference)
-    assert close(frame.values, values)
-    assert not frame.clamped.any()
+    assert close(frame.values, values) and not frame.clamped.any()
     assert CODEC.distance(data) == (0 if reference is None else distance)
 
 
@@ -61,8 +60,7 @@ def test_beyond_its_range_a_value_is_clamped_and_flagged(values: FloatArray, wil
         values[place] = value
     frame = CODEC.decode(CODEC.encode(CODEC.quantise(values)))
     outside = ~((values >= LAYOUT.low - HALF) & (values <= LAYOUT.high + HALF))
-    assert (frame.clamped == outside).all()
-    assert (np.abs(frame.values - values) <= HALF + 1e-9)[~outside].all()
+    assert (frame.clamped == outside).all() and (np.abs(frame.values - values) <= HALF + 1e-9)[~outside].all()
     assert ((frame.values >= LAYOUT.low) & (frame.values <= LAYOUT.high + 1e-9)).all()
 
 

@@ -90,8 +90,7 @@ def test_at_a_lower_rate_goals_are_executed_and_a_stop_comes_within_a_second(rat
     sent = link.now
     link.operator.send(MessageClass.STOP, b"a stop", link.now)
     link.until(lambda: link.executed[-1][2] == b"a stop", 5.0)
-    assert link.now - sent < 1.0
-    assert [content for _, _, content in link.executed] == [*goals, b"a stop"]
+    assert link.now - sent < 1.0 and [content for _, _, content in link.executed] == [*goals, b"a stop"]
 
 
 def test_a_stop_overtakes_what_waits_and_nothing_sent_before_it_is_obeyed_after_it() -> None:
@@ -131,8 +130,7 @@ def test_what_was_sent_before_a_cut_is_not_obeyed_after_it() -> None:
     link.operator.send(MessageClass.COMMAND, b"walk on", link.now)
     link.operator.stream(MessageClass.STREAM, b"velocity", link.now)
     link.run(30.0)
-    assert link.operator.states and not link.executed
-    assert link.given_up
+    assert link.operator.states and not link.executed and link.given_up
 
 
 def test_what_waits_is_bounded_and_the_newest_refusals_are_told() -> None:
@@ -183,8 +181,7 @@ def test_of_another_robot_the_end_is_refused_and_named() -> None:
     link = pair()
     link.operator.session._print = b"other-rb"
     link.run(3.0)
-    assert not link.operator.states
-    assert "other files of the robot" in link.operator.session.mismatch
+    assert not link.operator.states and "other files of the robot" in link.operator.session.mismatch
 
 
 @examples(60)
@@ -193,8 +190,7 @@ def test_strangers_datagrams_are_counted_and_nothing_else(data: bytes, begins: b
     link = PLAIN
     before = link.robot.rejected
     link.robot.receive(begins + data, 0, link.robot_time)  # type: ignore[arg-type]
-    assert link.robot.rejected == before + 1
-    assert not link.robot.events()
+    assert link.robot.rejected == before + 1 and not link.robot.events()
 
 
 PLAIN = pair()

@@ -90,8 +90,7 @@ def test_names_invalid_in_files_are_replaced(tmp_path: Path) -> None:
     new_robot(tmp_path / "model.xml", tmp_path / "robot", "generated")
     content = yaml.safe_load((tmp_path / "robot" / "robot.yaml").read_text())
     assert any(name.startswith("left_knee_y") for name in content["joints"])
-    assert content["head"] == "body_yes"
-    assert content["hands"]["right"]["body"] == "base_link_body1"
+    assert content["head"] == "body_yes" and content["hands"]["right"]["body"] == "base_link_body1"
     assert "is renamed to body_yes" in (tmp_path / "robot" / "robot.yaml").read_text()
 
 

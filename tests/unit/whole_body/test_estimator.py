@@ -77,8 +77,7 @@ def test_forces_contacts_and_centre_of_pressure(robot: RobotDescription) -> None
     loop.run(1.0)
     state = loop.state
     weight = loop.estimator.dynamics.mass * 9.81
-    assert state.contacts.tolist() == [1, 1]
-    assert state.foot_forces.sum() == pytest.approx(weight, rel=0.02)
+    assert state.contacts.tolist() == [1, 1] and state.foot_forces.sum() == pytest.approx(weight, rel=0.02)
     np.testing.assert_allclose(state.cop_in_odom, state.com_in_odom[:2], atol=0.005)
     np.testing.assert_allclose(state.dcm_in_odom, state.com_in_odom, atol=0.005)
 
@@ -140,8 +139,7 @@ def test_without_contact_it_stays_finite_and_slow(
     state = None
     for k in range(2500):
         state = estimator.update(with_forces(biased, 0.0, 0.0, k * 2_000_000))
-    assert state is not None and state.contacts.tolist() == [0, 0]
-    assert np.isnan(state.cop_in_odom).all()
+    assert state is not None and state.contacts.tolist() == [0, 0] and np.isnan(state.cop_in_odom).all()
     assert np.linalg.norm(state.pelvis_linear_velocity_in_odom) < 0.1
     landed = estimator.update(with_forces(biased, 400.0, 400.0, 2501 * 2_000_000))
     assert landed.contacts.tolist() == [1, 1]
@@ -256,8 +254,7 @@ def test_real_time_between_proprioceptors_counts(robot: RobotDescription) -> Non
             if seen
         ]
         errors.append(np.sqrt(np.mean(np.square(error[100:]), axis=0)).max())
-    assert errors[1] < 1.5 * errors[0] + 0.002
-    assert errors[1] < 0.015
+    assert errors[1] < 1.5 * errors[0] + 0.002 and errors[1] < 0.015
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -279,8 +276,7 @@ def test_walking_it_estimates_where_it_is_and_how_well(robot: RobotDescription, 
     assert loop.fall is None
     way = base[:3] - start
     error = loop.state.pelvis_position_in_odom - believed - way
-    assert np.linalg.norm(way) > 1.2
-    assert np.linalg.norm(error) < 0.01 * np.linalg.norm(way)
+    assert np.linalg.norm(way) > 1.2 and np.linalg.norm(error) < 0.01 * np.linalg.norm(way)
     grown = loop.state.pelvis_position_variance
     assert (grown > before).all()
     assert (np.abs(error) < 4.0 * np.sqrt(grown) + 0.004).all()  # 4 mm: of the lever between pelvis and heading

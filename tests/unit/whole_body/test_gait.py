@@ -41,8 +41,7 @@ def test_walks_and_comes_to_rest(robot: RobotDescription, velocity: tuple[float,
     loop.run(0.5)  # not even at nominal yet
     before, believed = loop.plant.data.qpos[:3].copy(), loop.state.pelvis_position_in_odom
     errors, knee = walk(loop, velocity, 4.0)
-    assert loop.fall is None
-    assert loop.command.qp_failures == 0
+    assert loop.fall is None and loop.command.qp_failures == 0
     assert (np.sqrt((errors**2).mean(axis=0)) < 0.025).all()
     assert knee > 0.5
     way = loop.plant.data.qpos[:3] - before
@@ -123,8 +122,7 @@ def test_walks_at_a_thousand_periods_a_second_as_at_five_hundred() -> None:
     before = loop.plant.data.qpos[:3].copy()
     errors, _ = walk(loop, (0.3, 0.0, 0.0), 2.5)
     assert len(errors) > 1000 * 2.5
-    assert loop.fall is None
-    assert loop.command.qp_failures == 0
+    assert loop.fall is None and loop.command.qp_failures == 0
     assert (np.sqrt((errors**2).mean(axis=0)) < 0.02).all()
     assert loop.plant.data.qpos[0] - before[0] > 0.4
 

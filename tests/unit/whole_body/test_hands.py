@@ -33,8 +33,7 @@ def test_a_hand_with_a_load_ends_where_it_is_reported_and_estimates_how_far_off_
     assert worn.run_until(lambda: goals.status(1, 0).state == "reached", 8.0), goals.status(1, 0)
     worn.run(0.5)
     off = float(np.linalg.norm(worn.hand(1)[0] - goal[0]))
-    assert off < 0.012
-    assert abs(off - goals.status(1, 0).position_error) < 0.006
+    assert off < 0.012 and abs(off - goals.status(1, 0).position_error) < 0.006
     arm = worn.robot.group_indices("right_arm")
     lag = worn.plant.joint_position[arm] - worn.manager.components.reference.position[arm]
     assert np.abs(lag).max() < 0.012
@@ -43,8 +42,7 @@ def test_a_hand_with_a_load_ends_where_it_is_reported_and_estimates_how_far_off_
 def test_a_motor_that_takes_effort_is_left_to_it() -> None:
     robot = ManipulatingRobot(load_robot(), "hardware", seed=0)
     servos = robot.manager.components.servos
-    assert (servos.share > 0.9).all()
-    assert (np.abs(servos.offset) < 0.02).all()
+    assert (servos.share > 0.9).all() and (np.abs(servos.offset) < 0.02).all()
 
 
 def test_what_is_said_to_be_wanted_is_the_set_point_and_not_what_makes_up_for_the_play(worn: ManipulatingRobot) -> None:
@@ -72,8 +70,7 @@ def test_a_knock_leaves_a_goal_as_it_is_and_a_steady_force_lets_the_hand_go() ->
     assert goals.leads(1)
     press(robot, 1.5 * MOST, 0.25)
     status = goals.status(1, 0)
-    assert status.state == "resisted"
-    assert status.reason.startswith("it presses with ")
+    assert status.state == "resisted" and status.reason.startswith("it presses with ")
     assert not goals.leads(1)
 
 

@@ -57,8 +57,7 @@ def test_a_joint_driven_as_hard_as_allowed_stays_within_its_limits(share: float,
         velocity = velocity + np.clip(direction * 1e3, lower, upper) * DT
         position = position + velocity * DT
         assert (np.abs(velocity) <= SPEED * 1.001).all()
-    assert (position >= LOWER - 1e-3).all()
-    assert (position <= UPPER + 1e-3).all()
+    assert (position >= LOWER - 1e-3).all() and (position <= UPPER + 1e-3).all()
 
 
 def test_far_from_stops_nothing_but_the_speed_limit_binds() -> None:
@@ -166,10 +165,8 @@ def reach_into_the_chest(loop: ClosedLoop) -> float:
 def test_a_hand_led_into_the_chest_stops_before_it() -> None:
     loop = ClosedLoop(load_robot(), "hardware", 1)
     kept = loop.robot.tables.self_collision.distance
-    assert reach_into_the_chest(loop) > 0.5 * kept
-    assert loop.controller.collision.rows > 0
-    assert loop.fall is None
-    assert loop.command.qp_failures == 0
+    assert reach_into_the_chest(loop) > 0.5 * kept and loop.controller.collision.rows > 0
+    assert loop.fall is None and loop.command.qp_failures == 0
 
 
 def test_without_a_table_it_touches() -> None:
@@ -192,8 +189,7 @@ def test_a_foot_sent_onto_the_other_comes_down_beside_it(apart: bool) -> None:
         least = min(least, mujoco.mj_geomDistance(model.mj, loop.plant.data, left, right, 1.0, segment))
     if apart:
         assert least > 0.005
-        assert loop.command.qp_failures == 0
-        assert loop.fall is None
+        assert loop.command.qp_failures == 0 and loop.fall is None
     else:
         assert least < 0.0
 

@@ -119,8 +119,7 @@ def test_the_handler_refuses_and_nothing_moves(
     pelvis: PelvisReference, behaviors: tuple[Behavior, ...], position: FloatArray, age: float, reason: str
 ) -> None:
     bench = Bench(pelvis, *behaviors)
-    assert not bench.send(position, age)
-    assert reason in bench.reason()
+    assert not bench.send(position, age) and reason in bench.reason()
     pelvis.advance(5.0, 0.002)
     np.testing.assert_array_equal(pelvis.position, pelvis.home)
 
@@ -129,8 +128,7 @@ def test_the_height_is_led_while_the_robot_walks(pelvis: PelvisReference) -> Non
     bench = Bench(pelvis, Behavior.STAND, Behavior.WALK)
     assert bench.send(np.array((0.0, 0.0, 0.75, 0.0, 0.0, 0.0)))
     pelvis.advance(5.0, 0.002)
-    assert pelvis.position[2] < pelvis.home[2]
-    assert pelvis.resting
+    assert pelvis.position[2] < pelvis.home[2] and pelvis.resting
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -145,8 +143,6 @@ def test_it_follows_on_hardware(robot: RobotDescription, seed: int) -> None:
     errors = []
     loop.run(4.5, lambda loop: errors.append(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom))
     away = np.abs(pelvis.measured(loop.state) - target)
-    assert loop.fall is None
-    assert loop.controller.qp_failures == 0
-    assert away[:3].max() < 0.03
-    assert away[3:].max() < 0.05
+    assert loop.fall is None and loop.controller.qp_failures == 0
+    assert away[:3].max() < 0.03 and away[3:].max() < 0.05
     assert np.abs(np.array(errors)[:, :2]).max() < 0.04

@@ -107,8 +107,7 @@ def assert_optimal(problem: Problem, bounds: Bounds, solution: Solution) -> None
     values = np.concatenate((solution.torque, solution.acceleration[6:]))
     if (others := bounds.others) is not None:
         values = np.concatenate((values, others.rows @ solution.acceleration + others.offset))
-    assert (values <= bounds.upper + 1e-4).all()
-    assert (values >= bounds.lower - 1e-4).all()
+    assert (values <= bounds.upper + 1e-4).all() and (values >= bounds.lower - 1e-4).all()
     assert problem.value(solution.acceleration, solution.rho) == pytest.approx(value, rel=1e-5, abs=1e-5)
     scale = np.abs(acceleration).max()
     np.testing.assert_allclose(solution.acceleration, acceleration, atol=1e-3 * scale)
@@ -142,8 +141,7 @@ def test_with_limits_of_joints(random_problem: Problem, torques: int, accelerati
             bounds.upper[rows] = np.sort(np.abs(values))[-cut]
             bounds.lower[rows] = -bounds.upper[rows]
     solution = random_problem.solve(bounds)
-    assert solution.status == QpStatus.LIMITED
-    assert solution.limits.size >= 4
+    assert solution.status == QpStatus.LIMITED and solution.limits.size >= 4
     assert_optimal(random_problem, bounds, solution)
 
 
@@ -162,8 +160,7 @@ def test_with_limits_of_what_several_joints_do(random_problem: Problem, torque: 
         lower[:n], upper[:n] = -most, most
     bounds = Bounds(lower, upper, limit)
     solution = random_problem.solve(bounds)
-    assert solution.status == QpStatus.LIMITED
-    assert {2 * n, 2 * n + 1} <= set(solution.limits.tolist())
+    assert solution.status == QpStatus.LIMITED and {2 * n, 2 * n + 1} <= set(solution.limits.tolist())
     assert_optimal(random_problem, bounds, solution)
 
 
@@ -184,8 +181,7 @@ def test_while_the_feet_push_everywhere_the_optimum_needs_no_solver(
 
     monkeypatch.setattr(daqp, "solve", refuse)
     solution = standing.solve(standing.unbounded())
-    assert solution.status == QpStatus.OPTIMAL
-    assert (solution.rho > 0.0).all()
+    assert solution.status == QpStatus.OPTIMAL and (solution.rho > 0.0).all()
     np.testing.assert_allclose(solution.acceleration, acceleration, atol=1e-5)
     np.testing.assert_allclose(solution.rho, rho, atol=1e-4)
     # As soon as a generator is at its bound, the solver decides.
@@ -236,7 +232,6 @@ def test_generators_span_friction_and_the_cop_rectangle(robot: RobotDescription)
     rng = np.random.default_rng(3)
     for _ in range(200):
         fx, fy, fz, tx, ty, _ = wrenches @ (rng.random(16) * (rng.random(16) < 0.3) * 100.0 + 1e-3)
-        assert fz > 0.0
-        assert np.hypot(fx, fy) <= table.friction * fz + 1e-9
+        assert fz > 0.0 and np.hypot(fx, fy) <= table.friction * fz + 1e-9
         assert foot.heel + table.contact_inset - 1e-9 <= -ty / fz <= foot.toe - table.contact_inset + 1e-9
         assert abs(tx / fz) <= foot.half_width - table.contact_inset + 1e-9

@@ -54,8 +54,7 @@ def test_a_push_is_answered_by_steps_and_the_robot_stands_again(direction: str, 
     assert loop.fall is None
     assert knee > 0.25  # [rad]
     assert stepped == (direction != "right")  # sideways the stance is wide enough
-    assert not loop.controller.stepping
-    assert loop.command.qp_failures == 0
+    assert not loop.controller.stepping and loop.command.qp_failures == 0
     apart = loop.state.sole_positions_in_odom[LEFT] - loop.state.sole_positions_in_odom[RIGHT]
     np.testing.assert_allclose(apart, (0.0, robot.tables.walking.step_width, 0.0), atol=0.03)
 
@@ -106,8 +105,7 @@ def test_a_fall_is_reported_well_before_the_robot_hits_the_ground() -> None:
         loop.sequence += 1
         loop.plant.actuators.obey(motors.message(round(loop.time * 1e9), loop.sequence, 0, Behavior.FALL))
         loop.plant.step(loop.substeps)
-    assert ground_contact(loop)
-    assert loop.time - reported > 0.15
+    assert ground_contact(loop) and loop.time - reported > 0.15
 
 
 def test_the_watch_reports_once_and_again_only_after_the_dcm_was_well_inside() -> None:
@@ -129,11 +127,9 @@ def test_the_watch_reports_once_and_again_only_after_the_dcm_was_well_inside() -
 
     assert reported(edge - table.edge_margin - 0.01, 100) == 0
     assert reported(edge - 0.005, 2) == 0  # that may be noise
-    assert reported(0.0, 1) == 0
-    assert reported(edge - 0.005, 100) == 1
+    assert reported(0.0, 1) == 0 and reported(edge - 0.005, 100) == 1
     assert "inside the edge of the support polygon" in watch.reason
     assert reported(edge - table.edge_margin - 0.01, 100) == 0
     assert reported(edge + 0.01, 100) == 0  # it leans on something
-    assert reported(0.0, 1) == 0
-    assert reported(edge + 0.01, 100) == 1
+    assert reported(0.0, 1) == 0 and reported(edge + 0.01, 100) == 1
     assert "outside" in watch.reason

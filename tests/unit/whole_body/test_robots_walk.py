@@ -40,8 +40,7 @@ def test_it_stands_reaches_walks_and_stops(name: str) -> None:
         assert loop.time < began + 3 * DURATION
     assert loop.fall is None
     way = loop.plant.data.qpos[:3] - start
-    assert 0.7 * SPEED * DURATION < way[0] < 1.3 * SPEED * DURATION
-    assert abs(way[1]) < 0.1
+    assert 0.7 * SPEED * DURATION < way[0] < 1.3 * SPEED * DURATION and abs(way[1]) < 0.1
     assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.02  # measured, with the arms down: 3, 6, 6 mm
 
 

@@ -57,11 +57,8 @@ def test_stands_quietly_on_hardware(robot: RobotDescription, seed: int) -> None:
         felt.append(loop.state.foot_forces)
 
     loop.run(1.5, note)
-    assert loop.fall is None
-    assert loop.command.qp_status is QpStatus.OPTIMAL
-    assert loop.command.qp_failures == 0
-    assert np.ptp(heights) < 0.003
-    assert abs(np.mean(heights) - robot.tables.nominal_base_height) < 0.01
+    assert loop.fall is None and loop.command.qp_status is QpStatus.OPTIMAL and loop.command.qp_failures == 0
+    assert np.ptp(heights) < 0.003 and abs(np.mean(heights) - robot.tables.nominal_base_height) < 0.01
     assert np.sqrt((np.array(errors) ** 2).mean(axis=0)).max() < 0.004
     assert np.abs(feet(loop) - placed).max() < 0.003
     # Noise must not shake the motors: changes from one period to the next are small against what they can do.
@@ -144,9 +141,7 @@ def test_a_push_of_15_newton_seconds_is_survived(robot: RobotDescription, direct
     placed = feet(loop)
     loop.plant.push(15.0 * np.array(DIRECTIONS[direction]), 0.1)
     loop.run(2.5)
-    assert loop.fall is None
-    assert loop.command.qp_failures == 0
-    assert np.abs(feet(loop) - placed).max() < 0.01
+    assert loop.fall is None and loop.command.qp_failures == 0 and np.abs(feet(loop) - placed).max() < 0.01
     assert np.linalg.norm((loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2]) < 0.01
 
 
@@ -161,8 +156,7 @@ def test_a_push_of_80_newton_seconds_is_reported_to_be_a_fall_before_the_robot_t
     loop.plant.push(80.0 * np.array(DIRECTIONS[direction]), 0.1)
     while loop.fall is None and loop.time < began + 0.5:
         loop.step()
-    assert loop.fall is not None and loop.fall.startswith("DCM")
-    assert loop.time - began < 0.15
+    assert loop.fall is not None and loop.fall.startswith("DCM") and loop.time - began < 0.15
     assert loop.state.pelvis_rotation_in_odom[2, 2] > np.cos(0.3)
     loop.run(1.0)
     assert pelvis(loop)[2] < 0.6 * robot.tables.nominal_base_height  # it fell indeed
@@ -185,10 +179,8 @@ def test_torque_limits_bind_and_the_robot_still_stands(robot: RobotDescription) 
         loop.run(0.5)
         loop.plant.push(np.array((10.0, 0.0, 0.0)), 0.1)
         loop.run(1.0, note)
-        assert loop.fall is None
-        assert QpStatus.INFEASIBLE not in statuses[loop]
-    assert torques[free] > 1.1 * limit
-    assert torques[weak] <= limit + 1e-5
+        assert loop.fall is None and QpStatus.INFEASIBLE not in statuses[loop]
+    assert torques[free] > 1.1 * limit and torques[weak] <= limit + 1e-5
     assert QpStatus.LIMITED in statuses[weak]
 
 
@@ -198,8 +190,7 @@ def test_without_a_solution_the_last_torques_go_on_with_damping(robot: RobotDesc
     last, held = loop.command, loop.command.position.copy()
     loop.state.dynamics.bias[7] = np.nan
     failed = loop.controller.update(loop.state, loop.reference, robot.control_period)
-    assert failed.qp_status is QpStatus.INFEASIBLE
-    assert failed.qp_failures == 1
+    assert failed.qp_status is QpStatus.INFEASIBLE and failed.qp_failures == 1
     places = loop.estimator.dynamics.joints.places
     damped = (last.effort - robot.servo_damping * loop.state.joint_velocity)[places]
     np.testing.assert_allclose(failed.effort[places], damped, atol=1e-9)
@@ -208,9 +199,7 @@ def test_without_a_solution_the_last_torques_go_on_with_damping(robot: RobotDesc
     np.testing.assert_allclose(failed.position[arm], held[arm])
     assert not failed.velocity.any()
     loop.run(0.5)  # the next state is sound again
-    assert loop.command.qp_status is QpStatus.OPTIMAL
-    assert loop.command.qp_failures == 1
-    assert loop.fall is None
+    assert loop.command.qp_status is QpStatus.OPTIMAL and loop.command.qp_failures == 1 and loop.fall is None
 
 
 def test_the_same_seed_gives_the_same_run_bit_for_bit(robot: RobotDescription) -> None:

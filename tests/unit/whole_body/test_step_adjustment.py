@@ -75,8 +75,7 @@ def test_without_an_error_nothing_changes(foot: int, heading: float, left: float
     found = adjust(asked)
     np.testing.assert_allclose(found.foothold, asked.step.sole.position, atol=1e-6)
     np.testing.assert_allclose(found.landing_dcm, asked.landing_dcm, atol=1e-6)
-    assert found.left == pytest.approx(left, abs=1e-6)
-    assert found.cost == pytest.approx(0.0, abs=1e-6)
+    assert found.left == pytest.approx(left, abs=1e-6) and found.cost == pytest.approx(0.0, abs=1e-6)
 
 
 @example(0, -0.296875, 0.25, (-1.0, 0.0), 0.0, 0.0703125)  # a foot beyond reach with no time left
@@ -202,8 +201,7 @@ def test_the_vrp_of_a_late_step_stays_over_the_stance_sole_and_holds_the_dcm_bac
     dx, dy, dz = (guard.late_vrp(dcm) - case.centre).tolist()
     forward, left = c * dx + s * dy, c * dy - s * dx
     sole = ROBOT.tables.feet.left
-    assert abs(forward) < 0.5 * (sole.toe - sole.heel)
-    assert abs(left) < sole.half_width
+    assert abs(forward) < 0.5 * (sole.toe - sole.heel) and abs(left) < sole.half_width
     assert dz == 0.0
     assert abs(x - forward) <= abs(x) + 1e-12
     assert abs(y - left) <= abs(y) + 1e-12

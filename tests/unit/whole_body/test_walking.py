@@ -94,8 +94,7 @@ def test_a_swing_leaves_at_rest_and_comes_down_over_its_apex() -> None:
     np.testing.assert_allclose(begin.velocity, 0.0, atol=1e-6)
     np.testing.assert_allclose(end.velocity, [0.0, 0.0, -0.05, 0.0, 0.0, 0.0], atol=1e-6)
     late = swing.at(0.8)
-    assert late.position[2] == pytest.approx(0.047 - 0.2 * 0.05)
-    assert late.velocity[2] == pytest.approx(-0.05)
+    assert late.position[2] == pytest.approx(0.047 - 0.2 * 0.05) and late.velocity[2] == pytest.approx(-0.05)
 
 
 def test_a_late_foot_comes_down_quicker_and_goes_along() -> None:
