@@ -1,11 +1,9 @@
 """State of the network: topics and services with the nodes at their ends; status of the daemon."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import zmq
 
@@ -72,7 +70,7 @@ class Graph:
     schemas: dict[str, Schema]  # by hash
 
     @classmethod
-    def from_records(cls, records: Iterable[d.NodeRecord]) -> Graph:
+    def from_records(cls, records: Iterable[d.NodeRecord]) -> Self:
         """Convert the table of nodes with topics to topics with nodes."""
         graph = cls([], {}, {}, {})
         for record in sorted(records, key=lambda record: (record.name, record.computer, record.started)):

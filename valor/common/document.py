@@ -5,12 +5,10 @@ text that is not printable (control characters, marks that reorder text), and fi
 after expansion of their aliases.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 import yaml
 
@@ -72,7 +70,7 @@ class Document:
         self.content: object = None if root is None else self._value(root, ())
 
     @classmethod
-    def load(cls, file: Path) -> Document:
+    def load(cls, file: Path) -> Self:
         """Read a file. Raises ConfigurationError with file, line and key if it is missing or has rejected content."""
         try:
             if file.exists() and not file.is_file():

@@ -1,13 +1,11 @@
 """Checks of a service's inputs: senders that flood them, and topics that are late or invalid."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 from bifrost import Limit
 from bifrost.limits import Meter
@@ -128,7 +126,7 @@ class _Sample:
     robot: float  # [s]
     counts: Mapping[Topic[Any], tuple[int, int]]
 
-    def elapsed_since(self, then: _Sample) -> float:
+    def elapsed_since(self, then: Self) -> float:
         """Time by the clock that has advanced less [s]."""
         return min(self.wall - then.wall, self.robot - then.robot)
 

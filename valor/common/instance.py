@@ -3,14 +3,12 @@
 ``VALOR_HOME`` and ``VALOR_INSTANCE`` name the settings, ``<home>/<name>/instance.json``; ``valorctl up`` writes them.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import msgspec
 from msgspec import Meta, field
@@ -251,7 +249,7 @@ class Instance:
         self.bags = self.folder / "bags"  # default folder
 
     @classmethod
-    def from_environment(cls, name: str | None = None) -> Instance:
+    def from_environment(cls, name: str | None = None) -> Self:
         """The instance named, else ``VALOR_INSTANCE``, else ``default``, in ``VALOR_HOME`` (``~/.valor``)."""
         home = Path(os.environ.get("VALOR_HOME") or Path.home() / ".valor")
         return cls(name or os.environ.get("VALOR_INSTANCE") or DEFAULT_NAME, home)

@@ -3,12 +3,10 @@
 The Comms Manager's report of the motors' behavior confirms a stop, not the replies.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import bifrost
 from valor.common.behaviors import EMERGENCY_STOP, REFLEX, Behavior, ControlMode
@@ -133,7 +131,7 @@ class MotionSystem:
         self._since: float | None = None  # start of the goal's behavior, monotonic [s]
         self._received = 0.0  # time of the latest report, monotonic [s]
 
-    def __enter__(self) -> MotionSystem:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -5,11 +5,10 @@ a ``PICTURE`` record: from the robot number (4), index (2) and count (2) of the 
 the number of a complete picture (4).
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 from valor.link.errors import SealError
 
@@ -40,7 +39,7 @@ class Picture:
         return _PICTURE.pack(self.clock, len(form), len(frame)) + form + frame + self.content
 
     @classmethod
-    def decode(cls, data: bytes) -> Picture:
+    def decode(cls, data: bytes) -> Self:
         """Inverse of ``encode``. Raises SealError: too short."""
         if len(data) < _PICTURE.size:
             raise SealError(f"PICTURE: {len(data)} bytes; expected at least {_PICTURE.size}")

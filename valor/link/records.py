@@ -4,11 +4,10 @@ A record is its class (1), the length of its body (1, or 255 and 2) and the body
 (4), part (1), parts (1), deadline if the class has one (4: robot end's clock [ms]), then a part of the content.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Self
 
 from valor.link.classes import BY_CLASS, MessageClass
 from valor.link.errors import SealError
@@ -43,7 +42,7 @@ class Message:
         return record(self.kind, _MESSAGE.pack(self.id, self.part, self.parts) + deadline + self.content)
 
     @classmethod
-    def read(cls, kind: MessageClass, body: bytes) -> Message:
+    def read(cls, kind: MessageClass, body: bytes) -> Self:
         """Inverse of ``record``. Raises SealError: malformed."""
         dated = BY_CLASS[kind].deadline is not None
         size = _MESSAGE.size + (_DEADLINE.size if dated else 0)
@@ -102,7 +101,7 @@ class Acknowledgement:
         return record(MessageClass.ACKNOWLEDGEMENT, _ACKNOWLEDGEMENT.pack(self.state, self.clock, self.echo) + messages)
 
     @classmethod
-    def read(cls, body: bytes) -> Acknowledgement:
+    def read(cls, body: bytes) -> Self:
         """Inverse of ``record``. Raises SealError: malformed."""
         first = _ACKNOWLEDGEMENT.size
         if len(body) < first or (len(body) - first) % _ACKNOWLEDGED.size:

@@ -1,9 +1,7 @@
 """Robot state with named fields, and its conversion to the codec's vector."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +67,7 @@ class RobotState:
         return values
 
     @classmethod
-    def of(cls, frame: Frame, layout: Layout) -> RobotState:
+    def of(cls, frame: Frame, layout: Layout) -> Self:
         """State of a decoded frame."""
         told = {name: frame.values[place] for name, place in layout.fields.items()}
         largest = round(float(told.pop("base_largest")[0]))

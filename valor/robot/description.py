@@ -3,12 +3,10 @@
 Limits are defined in ``robot.yaml`` and written into the models that ``valor.robot.model`` compiles from both.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Self, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -70,7 +68,7 @@ class RobotDescription:
             self._require_none(violations(tables))
 
     @classmethod
-    def load(cls, folder: Path, control_rate: float | None = None) -> RobotDescription:
+    def load(cls, folder: Path, control_rate: float | None = None) -> Self:
         """Read a robot's folder, with another control rate [Hz] than robot.yaml's.
 
         Raises ConfigurationError: the folder, a file or a key is missing or invalid.

@@ -3,10 +3,9 @@
 ``load`` compiles the model in a separate process, so that services do not keep MuJoCo's memory.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
+from typing import Self
 
 import msgspec
 
@@ -48,7 +47,7 @@ class KinematicTree(msgspec.Struct, frozen=True):
     urdf: str  # of the robot
 
     @classmethod
-    def load(cls, robot: RobotDescription) -> KinematicTree:
+    def load(cls, robot: RobotDescription) -> Self:
         """Read the robot's model in a separate process. Raises ConfigurationError if it is invalid."""
         result = subprocess.run(
             [sys.executable, "-m", "valor.robot.model_tree", str(robot.folder)],

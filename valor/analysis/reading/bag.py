@@ -1,7 +1,5 @@
 """One bag as NumPy arrays; a topic is read on first use and stored."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -102,7 +100,7 @@ class Bag:
         StoredBag(path)  # raises BagError if there is none
 
     @classmethod
-    def of(cls, bag: Bag | Path) -> Bag:
+    def of(cls, bag: Self | Path) -> Self:
         """Return a bag as it is, or open a file."""
         return bag if isinstance(bag, cls) else cls(Path(str(bag)))
 

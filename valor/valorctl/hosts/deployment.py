@@ -1,14 +1,12 @@
 """Deployments: files that state on which hosts an instance runs, and each process on which."""
 
-from __future__ import annotations
-
 import hashlib
 import ipaddress
 import re
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import msgspec
 from msgspec import Meta
@@ -132,7 +130,7 @@ class Deployment(Table, kw_only=True):
         _require_sides(self.link, homes, self.hosts)
 
     @classmethod
-    def load(cls, file: Path) -> Deployment:
+    def load(cls, file: Path) -> Self:
         """Read a deployment, and check it against its profile. Raises ``ConfigurationError``."""
         from valor.common.document import Document
 

@@ -5,7 +5,7 @@ import secrets
 import socket
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,8 @@ def bring_up(
     orders = {name: Order("make", instance.name, {"setup": setup}) for name, setup in setups.items()}
     progress.waiting("making the instance on every host")
     made = execute_all(wanted, orders, MAKING)
-    with _or_down(instance, wanted, [name for name, answer in made.items() if isinstance(answer, Reply)], progress):
+    down = {name: Order("down", instance.name, {}) for name, answer in made.items() if isinstance(answer, Reply)}
+    with startup.undone(lambda: require(execute_all(wanted, down, DOWN)), progress):
         require(made)
         progress.done(f"{DAEMON} ready on {', '.join(orders)} ({time.monotonic() - began:.1f} s)")
         processes = [process for process in plan.profile.table if process.name in wanted.near]
@@ -150,20 +151,6 @@ def _order(
 ) -> dict[str, Reply | HostError]:
     order = Order(verb, instance.name, arguments)
     return execute_all(settings, {host.name: order for host in settings.beside(settings.here)}, timeout)
-
-
-@contextlib.contextmanager
-def _or_down(instance: Instance, settings: Settings, hosts: Collection[str], progress: Progress) -> Iterator[None]:
-    """Execute the block; if it fails, leave nothing of the instance on the hosts where it has been made."""
-    try:
-        yield
-    except BaseException as error:
-        progress.clear()
-        try:
-            require(execute_all(settings, {name: Order("down", instance.name, {}) for name in hosts}, DOWN))
-        except ValorError as second:
-            raise ValorError(f"{error}\nand then: {second}") from error
-        raise
 
 
 def _common_domain(surveys: Mapping[str, Survey], instance: Instance, settings: Settings, wanted: int | None) -> int:

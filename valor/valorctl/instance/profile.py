@@ -1,9 +1,7 @@
 """Profiles (``deploy/*.yaml``): processes, initial mode, and defaults of ``up``."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 from msgspec import Meta, field, structs
 
@@ -81,11 +79,11 @@ class Profile(Table, kw_only=True):
             raise TableError(("initial_mode",), expected(self.initial_mode, modes))
 
     @classmethod
-    def load(cls, file: Path) -> Profile:
+    def load(cls, file: Path) -> Self:
         """Read a profile. Raises ``ConfigurationError``: names file, key, value and expectation."""
         return read(cls, file)
 
-    def suiting(self, robot: RobotDescription) -> Profile:
+    def suiting(self, robot: RobotDescription) -> Self:
         """The profile without processes for devices that the robot does not have."""
         kinds = {"", *(device.kind for device in robot.tables.devices.values())}
         return structs.replace(self, processes=tuple(n for n in self.processes if BY_NAME[n].device in kinds))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import resource
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 from valor.common.behaviors import ControlMode
@@ -50,16 +51,23 @@ def new_instance(instance: Instance, progress: Progress | None) -> Iterator[None
         require_down(instance)
         if shutdown.take_down(instance) and progress is not None:
             progress.done("removed the processes and files of a crashed instance")
-        try:
+        with undone(partial(shutdown.take_down, instance), progress):
             yield
-        except BaseException as error:
-            if progress is not None:
-                progress.clear()
-            try:
-                shutdown.take_down(instance)
-            except ValorError as second:
-                raise ValorError(f"{error}\nand then: {second}") from error
-            raise
+
+
+@contextlib.contextmanager
+def undone(undo: Callable[[], object], progress: Progress | None) -> Iterator[None]:
+    """Call ``undo`` after any error of the block; a ``ValorError`` of ``undo`` is raised together with that error."""
+    try:
+        yield
+    except BaseException as error:
+        if progress is not None:
+            progress.clear()
+        try:
+            undo()
+        except ValorError as second:
+            raise ValorError(f"{error}\nand then: {second}") from error
+        raise
 
 
 @contextlib.contextmanager
