@@ -10,7 +10,8 @@ from valor.common.messages import PelvisSetpoint, VelocityCommand
 from valor.common.rotation import NORM
 from valor.common.topics import HAND_GOAL, PELVIS, VELOCITY
 from valor.motion_manager.handlers.handler import Handler, pose, require_finite, require_fresh
-from valor.motion_manager.hands.hand_goals import SIDES, HandGoal
+from valor.motion_manager.hands.goal_stream import HandGoal
+from valor.motion_manager.hands.hand_goals import SIDES
 from valor.whole_body.balance.pelvis import HEIGHT
 
 

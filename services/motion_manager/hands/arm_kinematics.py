@@ -17,7 +17,7 @@ from valor.common.kernel import Expression, Kernel, about, clipped, rotation_vec
 from valor.robot.model import Model, matrix
 from valor.robot.tables import Hand, Side
 
-APPROACH = 2.0  # speed per distance from the goal [1/s]
+APPROACH, STREAM_APPROACH = 2.0, 8.0  # speed per distance from the goal, from a streamed one [1/s]
 POSTURE = 0.3  # rate per distance from the preferred posture, in the null space [1/s]
 DAMPING = 0.05  # λ: singular values below are damped
 EXACT = 1e-6  # λ² of the null space projection
@@ -43,7 +43,8 @@ class ArmKinematics:
     Attributes:
         joints: (m,) indices of the arm in every joint vector. others: (w,) indices of the w joints.
         position: (m,) [rad]. beside: (w,) positions of the others [rad].
-        place: (3,) position of the target in pelvis [m]. turn: (3, 3) its rotation. carried: (6,) its twist.
+        place: (3,) position of the target in pelvis [m]. turn: (3, 3) its rotation.
+        carried: (6,) its twist by the pelvis. streamed: (6,) that of a stream of goals; 0 for single goals.
         posture: (m,) preferred posture of the null space [rad]. stuck: (m,) 1 for joints that do not move.
         rate: (m,) output of ``lead`` and ``move`` [rad/s]. stepped: (m,) output of ``search`` [rad].
         errors: (2,) of the hand at ``position``, output of ``look``, ``lead``, ``search`` [m, rad].
@@ -67,13 +68,14 @@ class ArmKinematics:
         self.position, self.posture, self.stuck = np.zeros(m), np.zeros(m), np.zeros(m)
         self.beside = np.zeros(max(1, len(self._others)))
         self.place, self.turn, self.carried = np.zeros(3), np.eye(3), np.zeros(6)
+        self.streamed = np.zeros(6)
         self.rate, self.stepped, self.errors = np.zeros(m), np.zeros(m), np.zeros(2)
         pose = (self.position, self.beside, self.place, self.turn)
         self.look = Kernel("hand", self._look, pose, (self.errors,))
         self.lead = Kernel(
             "lead",
             self._lead,
-            (*pose, self.carried, self.posture, self.stuck),
+            (*pose, self.carried, self.streamed, self.posture, self.stuck),
             (self.rate, self.errors),
         )
         self.search = Kernel("search", self._search, (*pose, self.stuck), (self.stepped, self.errors))
@@ -124,11 +126,15 @@ class ArmKinematics:
 
     def _lead(self, *inputs: Expression) -> tuple[Expression, Expression]:
         """Rates towards a target."""
-        angles, beside, place, turn, carried, posture, stuck = inputs
+        angles, beside, place, turn, carried, streamed, posture, stuck = inputs
         twist, errors, jacobian = self._off(angles, beside, place, turn)
         # Position and orientation arrive together: one factor for the twist.
         fastest = self._speeds.hand / ca.fmax(errors[0], 1e-9), self._speeds.turn / ca.fmax(errors[1], 1e-9)
-        twist = ca.fmin(APPROACH, ca.fmin(*fastest)) * twist + carried
+        streams = ca.sumsqr(streamed) > 0.0
+        approach = ca.if_else(streams, STREAM_APPROACH, APPROACH)
+        twist = ca.fmin(approach, ca.fmin(*fastest)) * twist + streamed + carried
+        excess = ca.fmax(ca.norm_2(twist[:3]) / self._speeds.hand, ca.norm_2(twist[3:]) / self._speeds.turn)
+        twist /= ca.if_else(streams, ca.fmax(1.0, excess), 1.0)
         lesser = ca.if_else(ca.mmax(stuck) > 0.0, LESSER, 1.0)
         twist, jacobian = _weighted(lesser, twist), _weighted(lesser, jacobian)
         idle = POSTURE * (posture - angles)

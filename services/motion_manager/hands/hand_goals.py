@@ -14,7 +14,6 @@ follow.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +21,7 @@ import numpy.typing as npt
 from valor.common.arrays import FloatArray
 from valor.common.messages import HandGoalStatus
 from valor.motion_manager.hands.arm_kinematics import LESSER, ArmKinematics, Speeds
+from valor.motion_manager.hands.goal_stream import GoalStream, HandGoal
 from valor.motion_manager.hands.reach_search import ReachSearch, Start
 from valor.motion_manager.joints.joint_reference import JointReference, Setpoint
 from valor.robot.commanded_limits import CommandedLimits
@@ -50,15 +50,6 @@ PASSED = (0.05, 0.01)  # distance at which an intermediate, and the last, postur
 MOVED = 0.03  # motion of a target after which its path is searched again [m, with LESSER also rad]
 
 
-@dataclass(frozen=True, slots=True)
-class HandGoal:
-    """Target pose of a hand."""
-
-    in_odom: bool  # else in pelvis
-    position: FloatArray  # (3,) [m]
-    rotation: FloatArray  # (3, 3)
-
-
 class GoalControlledArm:
     """One arm and the state of its goal; ``kinematics`` has its target in pelvis."""
 
@@ -72,6 +63,7 @@ class GoalControlledArm:
         highest = np.minimum(table.joint_speed * robot.velocity_limit[self.joints], limits.velocity)
         speeds, bounds = Speeds(table.max_speed, table.max_turn_rate, highest), (self.lower, self.upper)
         self.kinematics, tried = (ArmKinematics(model, hand, side, bounds, speeds) for _ in range(2))
+        self.stream = GoalStream(2.0 * np.array((table.max_speed, table.max_turn_rate)))  # in odom, with the pelvis'
         self._nominal = nominal[self.joints]
         self.search = ReachSearch(model, self.kinematics, tried, nominal=self._nominal, bounds=bounds, speed=highest)
         self.still, self.standing = np.zeros(len(self.joints)), np.zeros(6)
@@ -93,11 +85,13 @@ class GoalControlledArm:
         """Stop all motion."""
         self._rate = self.acceleration = self.still
         self.search.stop()
+        self.stream.clear()
         self._way = []
 
     def begin(self, goal: HandGoal, now: float) -> None:
         """Start a goal."""
         self.goal, self.stalled_since, self.reason = goal, now, ""
+        self.stream.add(goal, now)
         self._stuck[:], self._followed_since[:] = False, now
         self._nearest, self._neared = np.inf, now
         self.kinematics.posture[:], self.kinematics.stuck[:] = self._nominal, 0.0
@@ -109,10 +103,16 @@ class GoalControlledArm:
         self.stalled_since, self.reason = now, ""
         self._nearest, self._neared = np.inf, now
 
-    def target(self, place: FloatArray, turn: FloatArray, carried: FloatArray) -> None:
-        """Set the target pose in pelvis, and its twist (6,)."""
-        k = self.kinematics
-        k.place[:], k.turn[:], k.carried[:] = place, turn, carried
+    def target(self, state: RobotState, now: float) -> None:
+        """Set the target's pose in pelvis, and its twists (6,): by the pelvis, and of a stream."""
+        k, goal = self.kinematics, self.goal
+        assert goal is not None
+        place, turn, twist = self.stream.at(goal, now)
+        carried = self.standing
+        if goal.in_odom:
+            twist = (twist.reshape(2, 3) @ state.pelvis_rotation_in_odom).ravel()
+            place, turn, carried = seen_from_pelvis(place, turn, state)
+        k.place[:], k.turn[:], k.carried[:], k.streamed[:] = place, turn, carried, twist
 
     def advance(self, joint_position: FloatArray, dt: float) -> FloatArray:
         """Move one period towards the target, by (n,) commanded positions [rad]; returns (m,) rates [rad/s]."""
@@ -120,7 +120,7 @@ class GoalControlledArm:
         k = self.kinematics
         k.stand(joint_position)
         k.position[:] = self.position
-        if self._searched is None and self.search.over:
+        if self._searched is None and self.search.over and not self.streamed:
             self._find_way(joint_position, tried=False)
         self._take_up_way()
         k.lead()
@@ -158,6 +158,11 @@ class GoalControlledArm:
     def moves(self) -> bool:
         """True if its set-points move."""
         return bool(np.abs(self._rate).max() > STALLED_RATE)
+
+    @property
+    def streamed(self) -> bool:
+        """True while its target moves with a stream of goals."""
+        return bool(self.kinematics.streamed.any())
 
     @property
     def under_way(self) -> bool:
@@ -306,14 +311,9 @@ class HandGoals:
         )
 
     def _advance(self, arm: GoalControlledArm, state: RobotState, now: float, dt: float) -> None:
-        goal = arm.goal
-        assert goal is not None
         if arm.position is None:
             arm.position = self._reference.position[arm.joints].copy()
-        if goal.in_odom:
-            arm.target(*seen_from_pelvis(goal.position, goal.rotation, state))
-        else:
-            arm.target(goal.position, goal.rotation, arm.standing)
+        arm.target(state, now)
         rate = arm.advance(self._reference.position, dt)
         self._reference.follow(Setpoint(arm.joints, arm.position, rate, arm.acceleration, now))
 
@@ -323,10 +323,10 @@ class HandGoals:
             arm.look(measured)
             position = measured[arm.joints]
             arm.find_stuck(position, now)
-            if within(arm.errors, LEAVING if arm.state == "reached" else 1.0):
+            if not arm.streamed and within(arm.errors, LEAVING if arm.state == "reached" else 1.0):
                 arm.arrive(now)
                 self._set_state(arm, "reached")
-            elif arm.under_way or (arm.moves and arm.nears(now)):
+            elif arm.streamed or arm.under_way or (arm.moves and arm.nears(now)):
                 arm.stalled_since, arm.reason = now, ""
                 self._set_state(arm, "moving")
             elif self._stalled(arm, now):
