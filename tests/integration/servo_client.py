@@ -7,11 +7,10 @@ stopped or killed.
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 import bifrost
+from harness.motion_states import motor
 from valor.common.instance import Instance
-from valor.common.messages import JointMode, Motor, Proprioceptor
+from valor.common.messages import Motor, Proprioceptor
 from valor.common.topics import MOTOR, PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 
@@ -29,24 +28,14 @@ class ServoClient:
         self.sequence = 0
 
     def command(self, state: Proprioceptor) -> Motor:
-        n = len(self._robot.joints)
         self.sequence += 1
-        return Motor(
-            time=state.time,
-            sequence=self.sequence,
-            proprioceptor_sequence=state.sequence,
-            mode=np.full(n, JointMode.POSITION, dtype=np.uint8),
-            position=self._robot.nominal_posture,
-            velocity=np.zeros(n),
-            effort=np.zeros(n),
-            stiffness=np.zeros(n),
-            damping=np.zeros(n),
-            behavior="stand_prep",
-            writer=self._began,
-        )
+        return motor(
+            self._robot, time=state.time, sequence=self.sequence, proprioceptor_sequence=state.sequence,
+            behavior="stand_prep", writer=self._began,
+        )  # fmt: skip
 
-    def publish(self, motor: Motor) -> None:
-        self._motor.publish(motor)
+    def publish(self, message: Motor) -> None:
+        self._motor.publish(message)
 
     def hear(self, timeout: float = 60.0) -> Proprioceptor:
         received = self.proprioceptor.receive(timeout=timeout)

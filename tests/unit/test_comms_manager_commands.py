@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
+from harness import motion_states
 from harness.bifrost_network import BifrostNetwork, until
 from harness.still_robot import PERIOD, ROBOT, N, Robot
 from valor.common.behaviors import REFLEX, Reaction
@@ -28,12 +28,8 @@ LIMP = {"mode": np.full(N, JointMode.FORCE, dtype=np.uint8), "stiffness": np.zer
 
 
 def motor(answers: int, **changes: Any) -> Motor:
-    made = Motor(
-        time=0, sequence=1, proprioceptor_sequence=answers, mode=np.full(N, JointMode.IMPEDANCE, dtype=np.uint8),
-        position=ROBOT.nominal_posture, velocity=np.zeros(N), effort=np.zeros(N), stiffness=np.ones(N),
-        damping=np.ones(N), behavior="stand", writer=5,
-    )  # fmt: skip
-    return msgspec.structs.replace(made, **changes)
+    given: dict[str, Any] = {"mode": JointMode.IMPEDANCE, "stiffness": np.ones(N), "damping": np.ones(N), "writer": 5}
+    return motion_states.motor(ROBOT, proprioceptor_sequence=answers, **(given | changes))
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
+from harness.motion_states import motor
 from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
-from valor.common.messages import JointMode, Motor, Proprioceptor
+from valor.common.messages import JointMode, Proprioceptor
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.robot.tables import SensorNoise
@@ -28,12 +29,7 @@ def sensors(of: Plant, profile: str = "ideal", seed: int = 0) -> Sensors:
 
 
 def stand(robot: Plant) -> None:
-    zero = np.zeros(N)
-    modes = np.full(N, JointMode.POSITION, dtype=np.uint8)
-    robot.actuators.obey(
-        Motor(time=0, sequence=1, proprioceptor_sequence=1, mode=modes, position=ROBOT.nominal_posture,
-              velocity=zero, effort=zero, stiffness=zero, damping=zero, behavior="stand_prep", writer=1)
-    )  # fmt: skip
+    robot.actuators.obey(motor(ROBOT))
 
 
 def run(profile: str, seed: int, periods: int, look: bool = False) -> list[Proprioceptor]:
@@ -73,17 +69,12 @@ def test_the_hardware_plant_differs_from_the_controllers_model_by_at_most_what_t
 def test_the_hdt_arms_sag_and_the_sick_wrist_stays() -> None:
     wrist, elbow = ROBOT.index["r_wrist_yaw"], ROBOT.index["r_elbow_pitch"]
     robot = plant("drc_finals")
-    zero = np.zeros(N)
     servo = {"stiffness": ROBOT.servo_stiffness, "damping": ROBOT.servo_damping}
     target = ROBOT.nominal_posture.copy()
     target[wrist] += 0.5
-    modes = np.full(N, JointMode.IMPEDANCE, dtype=np.uint8)
     weight = np.zeros(N)  # what would carry the arm, and is not taken
     weight[ROBOT.group_indices("right_arm")] = robot.data.qfrc_bias[robot.model.dof][ROBOT.group_indices("right_arm")]
-    robot.actuators.obey(
-        Motor(time=0, sequence=1, proprioceptor_sequence=1, mode=modes, position=target, velocity=zero,
-              effort=weight, behavior="stand", writer=1, **servo)
-    )  # fmt: skip
+    robot.actuators.obey(motor(ROBOT, JointMode.IMPEDANCE, position=target, effort=weight, **servo))
     robot.step(1500)
     moved = robot.joint_position - ROBOT.nominal_posture
     assert abs(moved[wrist]) < 0.02

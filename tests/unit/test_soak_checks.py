@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
+from harness.motion_states import motor
 from harness.places import ROBOTS
 from tests.soak import checks
 from valor.common.messages import Motor
@@ -25,21 +25,8 @@ class Writer:
 
     def motor(self, behavior: str = "stand", **changes: Any) -> Motor:
         self.sequence += 1
-        n = len(ROBOT.joints)
-        sound = Motor(
-            time=self.sequence,
-            sequence=self.sequence,
-            proprioceptor_sequence=self.sequence,
-            mode=np.ones(n, np.uint8),
-            position=ROBOT.nominal_posture.copy(),
-            velocity=np.zeros(n),
-            effort=np.zeros(n),
-            stiffness=np.zeros(n),
-            damping=np.zeros(n),
-            behavior=behavior,
-            writer=self.writer,
-        )
-        return msgspec.structs.replace(sound, **changes)
+        given: dict[str, Any] = {"time": self.sequence, "sequence": self.sequence, "writer": self.writer}
+        return motor(ROBOT, **(given | {"behavior": behavior} | changes))
 
 
 def at(value: float, others: Any = 0.0) -> np.ndarray[Any, np.dtype[np.float64]]:
