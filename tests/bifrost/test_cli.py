@@ -112,10 +112,8 @@ def test_echo_prints_one_json_object_a_line_until_interrupted(net: BifrostNetwor
     message = Sample(1, "", np.array([np.nan, np.inf, 1.0]), np.zeros(0, np.uint8))
     process = subprocess.Popen(
         [sys.executable, "-m", "bifrost.cli", "topic", "echo", "lab/sample", "--json", "--timeout", "20"],
-        env=net.environment(),
-        stdout=subprocess.PIPE,
-        text=True,
-    )
+        env=net.environment(), stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
     with process, going_on(lambda: publisher.publish(message)):
         assert process.stdout is not None
         line = process.stdout.readline()
@@ -209,12 +207,8 @@ def test_exit_status_and_stderr(net: BifrostNetwork) -> None:
         (("topic", "shout"), 2, ""),
     ):
         ended = subprocess.run(
-            [sys.executable, "-m", "bifrost.cli", *arguments],
-            env=net.environment() | {"BIFROST_KEYS": "/nowhere"},
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+            [sys.executable, "-m", "bifrost.cli", *arguments], env=net.environment() | {"BIFROST_KEYS": "/nowhere"},
+            capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
         assert (ended.returncode, ended.stdout) == (status, "")
         assert ended.stderr == error or not error

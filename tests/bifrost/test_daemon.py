@@ -82,13 +82,9 @@ def test_the_daemon_reports_its_status(own_net: BifrostNetwork) -> None:
 
 def run_daemon(environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "bifrost.daemon"],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=30,
+        [sys.executable, "-m", "bifrost.daemon"], env=environment, capture_output=True, text=True, timeout=30,
         check=False,
-    )
+    )  # fmt: skip
 
 
 def test_a_daemon_that_cannot_start_gives_the_reason_in_one_line(net: BifrostNetwork, tmp_path: Path) -> None:

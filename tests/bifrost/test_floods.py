@@ -89,11 +89,9 @@ def test_a_flooding_client_is_named_and_muted_and_others_are_answered(net: Bifro
 
 
 @given(
-    rate=st.floats(1.0, 1e5),
-    burst=st.integers(1, 1000),
-    load=st.floats(0.01, 1.0),
+    rate=st.floats(1.0, 1e5), burst=st.integers(1, 1000), load=st.floats(0.01, 1.0),
     stalls=st.lists(st.integers(1, 500), min_size=1, max_size=20),
-)
+)  # fmt: skip
 @examples(50)
 def test_a_meter_passes_senders_within_the_limit_and_no_others(
     rate: float, burst: int, load: float, stalls: list[int]

@@ -183,13 +183,9 @@ def test_a_false_server_gets_no_request(net: BifrostNetwork) -> None:
 
 def test_a_daemon_without_its_key_reports_it(net: BifrostNetwork, tmp_path: Path) -> None:
     started = subprocess.run(
-        [sys.executable, "-m", "bifrost.daemon"],
-        env=net.environment("near") | {"BIFROST_OWNERS": ""},
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
+        [sys.executable, "-m", "bifrost.daemon"], env=net.environment("near") | {"BIFROST_OWNERS": ""},
+        capture_output=True, text=True, timeout=30, check=False,
+    )  # fmt: skip
     assert (started.returncode, started.stderr.count("\n")) == (78, 1)
     assert "the key of bifrostd is missing: expected its folder in BIFROST_OWNERS" in started.stderr
 

@@ -26,12 +26,9 @@ def test_import_contracts_can_fail(tmp_path: Path) -> None:
     shutil.copytree(REPOSITORY / "valor", tmp_path / "valor", ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "valor" / "motion_manager" / "smuggled.py").write_text("import rclpy\n")
     result = subprocess.run(
-        [*LINT_IMPORTS, "--no-cache", "--config", str(REPOSITORY / "pyproject.toml")],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+        [*LINT_IMPORTS, "--no-cache", "--config", str(REPOSITORY / "pyproject.toml")], cwd=tmp_path,
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
     assert result.returncode == 1, result.stdout + result.stderr
     assert "valor.motion_manager.smuggled -> rclpy" in result.stdout
 

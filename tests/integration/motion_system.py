@@ -111,12 +111,10 @@ class MotionSystem:
     def send(self, setpoints: Mapping[str, float], age: float = 0.0, **changes: object) -> None:
         """One message of set-points, as of now."""
         message = messages.JointSetpoints(
-            time=self.now() - round(age * 1e9),
-            names=list(setpoints),
-            position=np.array(list(setpoints.values()), dtype=float),
-            velocity=np.zeros(len(setpoints)),
+            time=self.now() - round(age * 1e9), names=list(setpoints),
+            position=np.array(list(setpoints.values()), dtype=float), velocity=np.zeros(len(setpoints)),
             acceleration=np.zeros(len(setpoints)),
-        )
+        )  # fmt: skip
         for name, value in changes.items():
             setattr(message, name, value)
         self._setpoints.publish(message)

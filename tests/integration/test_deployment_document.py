@@ -58,14 +58,9 @@ class Three:
     def type(self, name: str, line: str) -> str:
         """Type a line in a computer's home; returns its output."""
         done = subprocess.run(
-            [*self.network.inside(name), "sh", "-c", line],
-            env=self.environment(name),
-            cwd=self.homes[name],
-            capture_output=True,
-            text=True,
-            timeout=300.0,
-            check=False,
-        )
+            [*self.network.inside(name), "sh", "-c", line], env=self.environment(name), cwd=self.homes[name],
+            capture_output=True, text=True, timeout=300.0, check=False,
+        )  # fmt: skip
         assert done.returncode == 0, f"{name}: {line}: exit {done.returncode}\n{done.stdout}{done.stderr}"
         return done.stdout
 

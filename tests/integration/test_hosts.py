@@ -116,13 +116,9 @@ def test_a_late_start_is_rejected_by_supervisord(up: Hosts) -> None:
 def test_a_late_order_is_rejected(up: Hosts) -> None:
     order = {"verb": "down", "instance": "trio", "until": -100.0, "arguments": {}}
     done = subprocess.run(
-        up.command("perception", str(VALORCTL), "host", "order"),
-        env=up.environment("perception"),
-        input=json.dumps(order) + "\n",
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+        up.command("perception", str(VALORCTL), "host", "order"), env=up.environment("perception"),
+        input=json.dumps(order) + "\n", capture_output=True, text=True, check=True,
+    )  # fmt: skip
     greeting, reply = map(json.loads, done.stdout.splitlines())
     assert abs(greeting["wall"] - time.time()) < 60.0
     assert re.fullmatch(r"down: arrived [\d.]+ s after its deadline; nothing was done", reply["error"])

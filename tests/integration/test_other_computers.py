@@ -75,12 +75,9 @@ def test_a_named_peer_reaches_the_robot_and_another_network_does_not(computers: 
         robot = os.environ | {"VALOR_HOME": folder, "VALOR_INSTANCE": "far"}
         up = ("up", "--profile", str(profile), "--namespace", "far", "--peers", "10.213.1.2")
         refused = subprocess.run(
-            [*inside(ROBOT), str(VALORCTL), *up[:-1], "10.214.0.1"],
-            env=robot,
-            capture_output=True,
-            text=True,
+            [*inside(ROBOT), str(VALORCTL), *up[:-1], "10.214.0.1"], env=robot, capture_output=True, text=True,
             check=False,
-        )
+        )  # fmt: skip
         assert refused.returncode == 1 and "is not reached from here" in refused.stderr, refused.stderr
         try:
             assert "peers 10.213.1.2" in run(*inside(ROBOT), str(VALORCTL), *up, environment=robot)

@@ -122,10 +122,8 @@ BY_ITSELF: Mapping[Behavior, frozenset[Behavior]] = {
 """Where the robot goes without being asked: the end of a plan, of the way up."""
 _WORLDS = ("comms_manager", "device_emulators")
 UNITS_NEEDED: Mapping[str, Behavior] = {
-    "legs/1": Behavior.FREEZE,
-    "imu": Behavior.FREEZE,
-    "force_torque/1": Behavior.SOFT_STOP,
-}
+    "legs/1": Behavior.FREEZE, "imu": Behavior.FREEZE, "force_torque/1": Behavior.SOFT_STOP,
+}  # fmt: skip
 """Units without which no balance is kept → where the robot goes when they are unplugged; all others: nowhere."""
 _BALANCING = OPERATIONAL | {Behavior.SOFT_STOP}
 _PASSED = _BALANCING

@@ -32,11 +32,9 @@ STARVATION = 3.0  # [s]
 NAN = float("nan")
 UNPLUGGED = 1.5  # [s]
 PAIRS = (
-    ("motion_manager", "comms_manager"),
-    ("motion_manager", "valor_ros_controller"),
-    ("motion_manager", "bifrostd"),
+    ("motion_manager", "comms_manager"), ("motion_manager", "valor_ros_controller"), ("motion_manager", "bifrostd"),
     ("bifrostd", "bag_recorder"),
-)
+)  # fmt: skip
 UNITS = ("legs/1", "imu", "hdt/left_arm", "force_torque/1")
 
 Happen = Callable[[Rig, random.Random, str], list[str]]

@@ -174,12 +174,9 @@ def test_without_opengl_the_error_states_what_to_install(bag: Bag, tmp_path: Pat
     )
     done = subprocess.run(
         [sys.executable, "-c", program, str(bag.path), str(ROBOT.folder), str(tmp_path)],
-        env=os.environ | {"MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "none-such"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
+        env=os.environ | {"MUJOCO_GL": "egl", "PYOPENGL_PLATFORM": "none-such"}, capture_output=True, text=True,
+        timeout=120, check=True,
+    )  # fmt: skip
     said = done.stdout.partition(";")[0].strip()
     assert said and f"`{said}`" in (REPOSITORY / "README.md").read_text()
     assert done.stdout.count("\n") == 1

@@ -41,20 +41,11 @@ class Everything(bifrost.Message):
 doubles = st.lists(st.floats(width=64), max_size=40).map(lambda v: np.array(v, np.float64))
 inners = st.builds(Inner, doubles, st.text(max_size=10))
 everythings = st.builds(
-    Everything,
-    st.integers(-(2**63), 2**63 - 1),
-    st.floats(),
-    st.booleans(),
-    st.text(max_size=20),
-    st.binary(max_size=20),
-    doubles,
-    st.binary(max_size=40).map(lambda b: np.frombuffer(b, np.uint8)),
-    inners,
-    st.lists(inners, max_size=3),
-    st.lists(st.text(max_size=5), max_size=3),
-    st.none() | inners,
+    Everything, st.integers(-(2**63), 2**63 - 1), st.floats(), st.booleans(), st.text(max_size=20),
+    st.binary(max_size=20), doubles, st.binary(max_size=40).map(lambda b: np.frombuffer(b, np.uint8)), inners,
+    st.lists(inners, max_size=3), st.lists(st.text(max_size=5), max_size=3), st.none() | inners,
     st.none() | st.floats(),
-)
+)  # fmt: skip
 CODEC = bifrost.codec(Everything)
 
 
@@ -227,19 +218,9 @@ def test_the_hash_is_what_the_documentation_states() -> None:
 def test_the_bytes_are_what_the_documentation_states() -> None:
     """Fixed for ever, likewise: every type of field in turn."""
     message = Everything(
-        -2,
-        0.5,
-        True,
-        "é",
-        b"\1",
-        np.array([1.0]),
-        np.array([7, 8], np.uint8),
-        Inner(np.zeros(0), "i"),
-        [],
-        ["n"],
-        None,
-        2.0,
-    )
+        -2, 0.5, True, "é", b"\1", np.array([1.0]), np.array([7, 8], np.uint8), Inner(np.zeros(0), "i"), [], ["n"],
+        None, 2.0,
+    )  # fmt: skip
     assert CODEC.hash.hex() == "19bc48ec93e2d12c"
     assert CODEC.encode(message).hex(" ") == (
         "9c fe cb 3f e0 00 00 00 00 00 00 c3 a2 c3 a9 c4 01 01 "

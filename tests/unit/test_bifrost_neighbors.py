@@ -13,15 +13,11 @@ from harness.examples import examples
 
 _ENTRIES = st.lists(
     st.builds(
-        d.Entry,
-        kind=st.sampled_from(["publisher", "subscriber", "server"]),
-        topic=st.sampled_from(["a", "b", "c"]),
-        types=st.just(("T",)),
-        hashes=st.just(("00",)),
-        endpoint=st.sampled_from(["tcp://1", "tcp://2"]),
+        d.Entry, kind=st.sampled_from(["publisher", "subscriber", "server"]), topic=st.sampled_from(["a", "b", "c"]),
+        types=st.just(("T",)), hashes=st.just(("00",)), endpoint=st.sampled_from(["tcp://1", "tcp://2"]),
     ),
     max_size=4,
-).map(tuple)
+).map(tuple)  # fmt: skip
 HERE = "here"
 COMPUTERS = dict(enumerate(("there", HERE, "afar", HERE, "there", HERE)))  # by incarnation
 _INCARNATIONS = st.integers(1, 4)

@@ -46,13 +46,9 @@ def identified(
     error: FloatArray, rate_error: FloatArray, ahead: FloatArray, effort: FloatArray, k: float, d: float
 ) -> Servo:
     return identify_servo(
-        error=error,
-        rate_error=rate_error,
-        feed_forward=ahead,
-        stiffness=np.full(error.size, k),
-        damping=np.full(error.size, d),
-        effort=effort,
-    )
+        error=error, rate_error=rate_error, feed_forward=ahead, stiffness=np.full(error.size, k),
+        damping=np.full(error.size, d), effort=effort,
+    )  # fmt: skip
 
 
 @given(seeds, st.sampled_from([0.0, 1.0]), st.floats(0.3, 1.3), widths)

@@ -48,21 +48,10 @@ def same(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("12", 12),
-        ("+3", 3),
-        ("0x1F", 31),
-        ("-.5", -0.5),
-        ("6.02E+23", 6.02e23),
-        ("true", True),
-        ("~", None),
-        ("", None),
-        ("y", "y"),
-        ("1.1.26", "1.1.26"),
-        ("'yes'", "yes"),
-        ('"0300"', "0300"),
-        ("|\n  no\n", "no\n"),
+        ("12", 12), ("+3", 3), ("0x1F", 31), ("-.5", -0.5), ("6.02E+23", 6.02e23), ("true", True), ("~", None),
+        ("", None), ("y", "y"), ("1.1.26", "1.1.26"), ("'yes'", "yes"), ('"0300"', "0300"), ("|\n  no\n", "no\n"),
     ],
-)
+)  # fmt: skip
 def test_plain_words_mean_what_both_yamls_say(text: str, value: object) -> None:
     got = load(f"key: {text}")["key"]
     assert (got, type(got)) == (value, type(value))
@@ -143,17 +132,11 @@ MERGED = "a0: &a0 {k: [1, 2, 3]}\n" + "".join(
 )
 CHAIN = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1, 5000))
 HOSTILE = {
-    "aliases": BOMB,
-    "merges": MERGED,
-    "a chain of aliases": CHAIN,
-    "flow": "[" * MAX_BYTES,
-    "block": "- " * (MAX_BYTES // 2),
-    "too deep": "a: " + "[" * MAX_DEPTH + "]" * MAX_DEPTH,
-    "too many": "[" + "x," * (MAX_VALUES + 1) + "]",
-    "too large": " " * (MAX_BYTES + 1),
-    "tags": "!" * MAX_BYTES,
+    "aliases": BOMB, "merges": MERGED, "a chain of aliases": CHAIN, "flow": "[" * MAX_BYTES,
+    "block": "- " * (MAX_BYTES // 2), "too deep": "a: " + "[" * MAX_DEPTH + "]" * MAX_DEPTH,
+    "too many": "[" + "x," * (MAX_VALUES + 1) + "]", "too large": " " * (MAX_BYTES + 1), "tags": "!" * MAX_BYTES,
     "open": '"' + "a\n" * (MAX_BYTES // 3),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE.keys())

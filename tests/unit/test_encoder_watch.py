@@ -97,11 +97,9 @@ def test_a_knock_that_the_servo_brakes_is_no_jump(speed: float, brake: float, ph
 
 @examples(80)
 @given(
-    st.lists(st.floats(-LIMIT, LIMIT), min_size=2 * CALM, max_size=2 * CALM),
-    st.floats(0.25, 3.0),
-    st.sampled_from([1.0, -1.0]),
-    st.booleans(),
-)
+    st.lists(st.floats(-LIMIT, LIMIT), min_size=2 * CALM, max_size=2 * CALM), st.floats(0.25, 3.0),
+    st.sampled_from([1.0, -1.0]), st.booleans(),
+)  # fmt: skip
 def test_a_jump_is_one_whatever_the_joint_does_meanwhile(
     velocities: list[float], jump: float, side: float, seen: bool
 ) -> None:

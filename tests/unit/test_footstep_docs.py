@@ -9,14 +9,9 @@ from vigir_footstep_planning_msgs.msg import Feet, Foot, Step, StepPlan, StepPla
 from harness.places import REPOSITORY
 
 TYPES = {
-    "StepPlan": StepPlan,
-    "Feet": Feet,
-    "Foot": Foot,
-    "Step": Step,
-    "Result": ExecuteStepPlan.Result,
-    "Feedback": ExecuteStepPlan.Feedback,
-    "StepPlanFeedback": StepPlanFeedback,
-}
+    "StepPlan": StepPlan, "Feet": Feet, "Foot": Foot, "Step": Step, "Result": ExecuteStepPlan.Result,
+    "Feedback": ExecuteStepPlan.Feedback, "StepPlanFeedback": StepPlanFeedback,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", TYPES)

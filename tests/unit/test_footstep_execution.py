@@ -32,14 +32,9 @@ def changed(word: StepStatus, **values: int) -> StepStatus:
 
 def status(state: str, performed: int = -1, reason: str = "", changeable: int = -1) -> StepStatus:
     return StepStatus(
-        time=0,
-        state=state,
-        reason=reason,
-        queue_size=0,
-        last_performed_step_index=performed,
-        executing_step_index=-1,
-        first_changeable_step_index=changeable,
-    )
+        time=0, state=state, reason=reason, queue_size=0, last_performed_step_index=performed,
+        executing_step_index=-1, first_changeable_step_index=changeable,
+    )  # fmt: skip
 
 
 @pytest.fixture

@@ -72,10 +72,8 @@ def make_plan(moves: list[Move], first_foot: int = Foot.LEFT) -> StepPlan:
         yaw += move.turn
         place(step, x, y, z, quaternion(yaw, move.pitch))
         step.swing_height, step.step_duration, step.sway_duration = (
-            move.swing_height,
-            move.step_duration,
-            move.sway_duration,
-        )
+            move.swing_height, move.step_duration, move.sway_duration,
+        )  # fmt: skip
         plan.steps.append(step)
     return plan
 
@@ -99,16 +97,14 @@ def apart(move: Move) -> bool:
 
 
 moves = st.builds(
-    Move,
-    forward=within(-REACH.max_backward, min(REACH.max_forward, REACH.max_distance)),
-    width=within(REACH.min_width, min(REACH.max_width, REACH.max_distance)),
-    up=within(-REACH.max_down, REACH.max_up),
+    Move, forward=within(-REACH.max_backward, min(REACH.max_forward, REACH.max_distance)),
+    width=within(REACH.min_width, min(REACH.max_width, REACH.max_distance)), up=within(-REACH.max_down, REACH.max_up),
     turn=within(-REACH.max_yaw, REACH.max_yaw),
     pitch=within(-REACH.max_tilt, REACH.max_tilt).map(lambda tilt: 0.99 * tilt),
     swing_height=within(0.0, REACH.max_swing_height),
     step_duration=st.just(0.0) | within(REACH.min_swing_duration, REACH.max_swing_duration),
     sway_duration=st.just(0.0) | within(REACH.min_transfer_duration, REACH.max_transfer_duration),
-).filter(lambda move: math.hypot(move.forward, move.width) < REACH.max_distance and apart(move))
+).filter(lambda move: math.hypot(move.forward, move.width) < REACH.max_distance and apart(move))  # fmt: skip
 plans = st.builds(make_plan, st.lists(moves, min_size=1, max_size=6), st.sampled_from([Foot.LEFT, Foot.RIGHT]))
 
 

@@ -135,11 +135,9 @@ class Bench:
 
 @examples(50)
 @given(
-    factor=st.floats(0.01, 20.0),
-    motor=st.floats(RATE, 2 * RATE),
-    steps=st.floats(10.0, 30.0),
+    factor=st.floats(0.01, 20.0), motor=st.floats(RATE, 2 * RATE), steps=st.floats(10.0, 30.0),
     pauses=st.lists(st.integers(1, 30), max_size=4),
-)
+)  # fmt: skip
 def test_what_comes_as_often_as_it_should_is_never_blamed(
     factor: float, motor: float, steps: float, pauses: list[int]
 ) -> None:

@@ -16,14 +16,9 @@ INTERFACES = REPOSITORY / "interfaces"
 TWINS = INTERFACES / "valor_msgs" / "msg"
 HEADER = [("std_msgs/Header", "header"), ("uint64", "bifrost_sequence")]
 ROS_TYPES = {
-    "bool": "bool",
-    "int": "int64",
-    "float": "float64",
-    "str": "string",
-    "list<str>": "string[]",
-    "float64[]": "float64[]",
-    "uint8[]": "uint8[]",
-}
+    "bool": "bool", "int": "int64", "float": "float64", "str": "string", "list<str>": "string[]",
+    "float64[]": "float64[]", "uint8[]": "uint8[]",
+}  # fmt: skip
 
 
 def twin_fields(file: Path) -> tuple[list[tuple[str, str]], dict[str, str]]:

@@ -15,18 +15,11 @@ import yaml
 from valor.common.resources import example_file
 
 _ATTRIBUTES = {
-    "root": set(),
-    "tabbed_widget": {"name", "parent"},
-    "Tab": {"tab_name", "containers"},
-    "Container": set(),
-    "DockSplitter": {"orientation", "count", "sizes"},
-    "DockArea": {"name"},
-    "plot": {"mode", "style", "flip_x", "flip_y"},
-    "limitY": set(),
-    "curve": {"name", "color", "curve_x", "curve_y"},
-    "currentTabIndex": {"index"},
-    "use_relative_time_offset": {"enabled"},
-}
+    "root": set(), "tabbed_widget": {"name", "parent"}, "Tab": {"tab_name", "containers"}, "Container": set(),
+    "DockSplitter": {"orientation", "count", "sizes"}, "DockArea": {"name"},
+    "plot": {"mode", "style", "flip_x", "flip_y"}, "limitY": set(), "curve": {"name", "color", "curve_x", "curve_y"},
+    "currentTabIndex": {"index"}, "use_relative_time_offset": {"enabled"},
+}  # fmt: skip
 _TOPIC = {"Value", "Depth", "History Policy", "Reliability Policy", "Durability Policy"}
 _DISPLAY = {"Class", "Name", "Enabled", "Value"}
 _PROPERTIES = {

@@ -147,13 +147,11 @@ def test_no_sequence_of_holds_moves_and_set_points_makes_a_joint_jump(data: st.D
             limit = ROBOT.velocity_limit[places]
             reference.follow(
                 Setpoint(
-                    places,
-                    np.clip(rng.uniform(-4, 4, k), ROBOT.lower[places], ROBOT.upper[places]),
-                    rng.uniform(-1, 1, k) * limit,
-                    rng.uniform(-1, 1, k) * LIMITS.acceleration[places],
+                    places, np.clip(rng.uniform(-4, 4, k), ROBOT.lower[places], ROBOT.upper[places]),
+                    rng.uniform(-1, 1, k) * limit, rng.uniform(-1, 1, k) * LIMITS.acceleration[places],
                     now + rng.uniform(-0.5, 0.1),
                 )
-            )
+            )  # fmt: skip
         for _ in range(int(rng.integers(1, 120))):
             now += DT
             reference.advance(now, DT)

@@ -113,16 +113,10 @@ class Steering:
 
 
 PATHS: tuple[tuple[Behavior, ...], ...] = (
-    (),
-    WALKING[:1],
-    WALKING[:2],
-    (*WALKING[:2], Behavior.STAND_MANIPULATE),
-    (*WALKING[:2], Behavior.STEP),
-    (*WALKING[:2], Behavior.STEP, Behavior.STEP_MANIPULATE),
-    (*WALKING, Behavior.SOFT_STOP),
-    (*WALKING, Behavior.FALL),
-    (Behavior.FREEZE,),
-)
+    (), WALKING[:1], WALKING[:2], (*WALKING[:2], Behavior.STAND_MANIPULATE), (*WALKING[:2], Behavior.STEP),
+    (*WALKING[:2], Behavior.STEP, Behavior.STEP_MANIPULATE), (*WALKING, Behavior.SOFT_STOP),
+    (*WALKING, Behavior.FALL), (Behavior.FREEZE,),
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("path", PATHS)

@@ -75,12 +75,9 @@ class Bench:
     def message(self, names: list[str], position: object, velocity: object = None, age: float = 0.0) -> JointSetpoints:
         zeros = np.zeros(len(names))
         return JointSetpoints(
-            time=self.now - round(age * 1e9),
-            names=names,
-            position=np.asarray(position, dtype=float),
-            velocity=zeros if velocity is None else np.asarray(velocity, dtype=float),
-            acceleration=zeros,
-        )
+            time=self.now - round(age * 1e9), names=names, position=np.asarray(position, dtype=float),
+            velocity=zeros if velocity is None else np.asarray(velocity, dtype=float), acceleration=zeros,
+        )  # fmt: skip
 
     def refused(self, message: JointSetpoints) -> str:
         """Send a message that must be refused; returns the reason that is published."""
@@ -243,16 +240,12 @@ names = st.one_of(st.sampled_from([*ROBOT.joints]), st.text(max_size=5))
 @given(
     st.lists(
         st.tuples(
-            st.lists(names, max_size=12),
-            st.lists(numbers, max_size=12),
-            st.lists(numbers, max_size=12),
-            st.booleans(),
-            st.integers(-(2**40), 2**40),
-            st.integers(0, 20),
+            st.lists(names, max_size=12), st.lists(numbers, max_size=12), st.lists(numbers, max_size=12),
+            st.booleans(), st.integers(-(2**40), 2**40), st.integers(0, 20),
         ),
         max_size=6,
     )
-)
+)  # fmt: skip
 def test_no_message_however_broken_makes_a_joint_jump(
     messages: list[tuple[list[str], list[float], list[float], bool, int, int]],
 ) -> None:

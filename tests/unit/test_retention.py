@@ -28,11 +28,9 @@ GB = 10**9
 SIZES = st.integers(0, 8 * GB)
 DISKS = st.builds(lambda capacity, part: Disk(capacity, int(capacity * part)), st.integers(GB, 10**13), st.floats(0, 1))
 BOUNDS = st.builds(
-    Bounds,
-    age=st.none() | st.floats(60.0, 100 * DAY),
-    size=st.none() | st.integers(8 << 20, 100 * GB),
+    Bounds, age=st.none() | st.floats(60.0, 100 * DAY), size=st.none() | st.integers(8 << 20, 100 * GB),
     share=st.none() | st.floats(0.001, 1.0),
-)
+)  # fmt: skip
 
 
 @st.composite

@@ -33,13 +33,9 @@ SIDED = {
     "thumb_roll": (-1.571, 1.571, 4, 4.189, False),
 }
 SEGMENTS = {
-    ("pelvis",): 12.66,
-    ("l_thigh",): 7.10,
-    ("l_shin",): 4.89,
-    ("l_foot",): 1.80,
-    ("chest",): 15.97,
+    ("pelvis",): 12.66, ("l_thigh",): 7.10, ("l_shin",): 4.89, ("l_foot",): 1.80, ("chest",): 15.97,
     ("neck_link", "head", "lidar"): 2.68,
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SIDED)

@@ -31,12 +31,9 @@ from valor.valorctl.robots.robot_check import examine
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 LIMBS = {
-    "no hands": ("left_hand", "right_hand"),
-    "no head": ("neck",),
-    "one arm": ("left_arm",),
-    "no arms": ("left_arm", "right_arm"),
-    "legs alone": ("left_arm", "right_arm", "neck", "torso"),
-}
+    "no hands": ("left_hand", "right_hand"), "no head": ("neck",), "one arm": ("left_arm",),
+    "no arms": ("left_arm", "right_arm"), "legs alone": ("left_arm", "right_arm", "neck", "torso"),
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module", params=list(LIMBS.values()), ids=list(LIMBS))

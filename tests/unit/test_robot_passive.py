@@ -98,13 +98,11 @@ def test_a_joint_that_is_not_simulated_is_welded_and_its_loop_open(folder: Path,
         ("robot.yaml", "  left_toe: ", "  left_knee_y_4: ", "is one of joints; expected a hinge without a drive"),
         ("robot.yaml", r"left_rod: \{ at: \S+", "left_rod: { at: 0.1,", "residual of its coupling"),
         (
-            "model.xml",
-            "  <equality>",
-            '  <equality>\n    <joint joint1="left_knee_y_4" joint2="right_knee_y_20"/>',
+            "model.xml", "  <equality>", '  <equality>\n    <joint joint1="left_knee_y_4" joint2="right_knee_y_20"/>',
             "expected none without a passive joint",
         ),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_is_reported(
     folder: Path, tmp_path: Path, file: str, pattern: str, text: str, fault: str
 ) -> None:

@@ -166,15 +166,11 @@ def test_eschers_are_the_defaults_to_the_last_bit() -> None:
 @pytest.mark.parametrize(
     ("kind", "key", "expected"),
     [
-        (Walking, "swing_duration", 0.3),
-        (Walking, "touchdown_force", 3.0),
-        (Walking, "foot_stiffness", 1200.0),
-        (Footsteps, "min_width", 0.075),
-        (PelvisMotion, "max_turn_rate", 0.8),
-        (Disturbance, "edge_margin", 0.015),
+        (Walking, "swing_duration", 0.3), (Walking, "touchdown_force", 3.0), (Walking, "foot_stiffness", 1200.0),
+        (Footsteps, "min_width", 0.075), (PelvisMotion, "max_turn_rate", 0.8), (Disturbance, "edge_margin", 0.015),
         (FallDetection, "tilt", None),
     ],
-)
+)  # fmt: skip
 def test_defaults_go_by_their_dimension(kind: type[Table], key: str, expected: float | None) -> None:
     assert completed(kind, {}, QUARTER).get(key) == (None if expected is None else pytest.approx(expected))
 
@@ -186,11 +182,9 @@ def test_what_is_said_stays_as_it_is_and_what_is_no_table_too() -> None:
 
 def test_a_robots_tables_are_of_its_size(tmp_path: Path) -> None:
     small = robot(
-        tmp_path,
-        ("leg: 0.82", "leg: 0.205"),
-        ("half_width: 0.07425", "half_width: 0.019"),
+        tmp_path, ("leg: 0.82", "leg: 0.205"), ("half_width: 0.07425", "half_width: 0.019"),
         ("footsteps: {}", "footsteps: { max_up: 0.1 }"),
-    )
+    )  # fmt: skip
     footsteps = some(small.tables.footsteps)
     assert (footsteps.max_up, footsteps.max_down) == (0.1, 0.05)
     assert footsteps.min_width == pytest.approx(0.15 * 0.019 / 0.07425)

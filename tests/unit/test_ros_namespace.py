@@ -56,14 +56,10 @@ def test_a_node_stands_in_the_namespace_with_its_frames_and_its_time() -> None:
 @pytest.mark.parametrize(
     ("topic", "ours"),
     [
-        ("/a/joint_states", True),
-        ("/b/joint_states", False),
-        ("/a/b/c", True),
-        ("/ab/c", False),
-        ("/tf", True),
+        ("/a/joint_states", True), ("/b/joint_states", False), ("/a/b/c", True), ("/ab/c", False), ("/tf", True),
         ("/a/_b", False),
     ],
-)
+)  # fmt: skip
 def test_what_stands_in_another_namespace_is_not_ours(topic: str, ours: bool) -> None:
     assert shown(topic, "a") is ours and shown(topic) is ("/_" not in topic)
 
@@ -106,13 +102,10 @@ def test_peers_open_the_interfaces_by_which_they_are_reached(monkeypatch: pytest
 @pytest.mark.parametrize(
     ("peer", "words"),
     [
-        ("", "''"),
-        ("a b", "expected a computer's name"),
-        ("-x", "expected"),
-        ("127.0.0.1", "is this computer"),
+        ("", "''"), ("a b", "expected a computer's name"), ("-x", "expected"), ("127.0.0.1", "is this computer"),
         ("no.invalid", "no.invalid: "),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_peer_is_refused(peer: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(words)) as error:
         ros_domain.addresses([peer])

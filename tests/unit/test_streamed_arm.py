@@ -55,14 +55,9 @@ def test_a_stream_of_one_goal_ends_there_and_stays(robot: StreamedRobot, rate: f
 
 @examples(12)
 @given(
-    rate=st.floats(1.0, 1000.0),
-    order=st.sampled_from([1, 3, 5]),
-    amplitude=st.floats(-0.2, 0.2),
-    period=st.floats(1.5, 4.0),
-    jitter=st.floats(0.0, 0.9),
-    lost=st.floats(0.0, 0.3),
-    seed=st.integers(0, 2**32 - 1),
-)
+    rate=st.floats(1.0, 1000.0), order=st.sampled_from([1, 3, 5]), amplitude=st.floats(-0.2, 0.2),
+    period=st.floats(1.5, 4.0), jitter=st.floats(0.0, 0.9), lost=st.floats(0.0, 0.3), seed=st.integers(0, 2**32 - 1),
+)  # fmt: skip
 def test_any_stream_is_followed_and_velocity_is_what_the_position_does(
     rate: float, order: int, amplitude: float, period: float, jitter: float, lost: float, seed: int
 ) -> None:

@@ -98,16 +98,10 @@ def test_every_number_can_be_an_argument(impulse: tuple[float, float, float]) ->
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["nothing"],
-        ["push", "1", "2"],
-        ["arm", "middle", "hang"],
-        ["up", "--rtf", "-1"],
-        ["push", "0", "nan", "0"],
-        ["step", "--to", "0", "-inf", "0"],
-        ["up", "--clock", "sundial"],
-        ["status", "--instance"],
+        ["nothing"], ["push", "1", "2"], ["arm", "middle", "hang"], ["up", "--rtf", "-1"], ["push", "0", "nan", "0"],
+        ["step", "--to", "0", "-inf", "0"], ["up", "--clock", "sundial"], ["status", "--instance"],
     ],
-)
+)  # fmt: skip
 def test_a_wrong_command_line_is_status_2(arguments: list[str]) -> None:
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 2 and "Error" in result.output
@@ -182,15 +176,10 @@ def test_a_mode_is_reached_when_it_is_the_current_one(status: int, current: str,
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["status"],
-        ["topic", "list"],
-        ["bag", "info", "/nowhere.mcap"],
-        ["up", "--bag-split", "7 parsecs"],
-        ["up", "--bag-ring", "0"],
-        ["up", "--robot", "/nowhere"],
-        ["status", "--instance", "No Name"],
+        ["status"], ["topic", "list"], ["bag", "info", "/nowhere.mcap"], ["up", "--bag-split", "7 parsecs"],
+        ["up", "--bag-ring", "0"], ["up", "--robot", "/nowhere"], ["status", "--instance", "No Name"],
     ],
-)
+)  # fmt: skip
 def test_foreseeable_errors_take_one_line(arguments: list[str], call: Call) -> None:
     status, out, err = call(*arguments)
     assert (status, out) == (1, "")

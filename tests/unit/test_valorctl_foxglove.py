@@ -37,12 +37,10 @@ def test_foxglove_runs_only_on_request() -> None:
 @pytest.mark.parametrize(
     ("text", "host", "port"),
     [
-        ("", "127.0.0.1", FOXGLOVE_PORT),
-        ("0", "127.0.0.1", 0),
-        ("0.0.0.0:9000", "0.0.0.0", 9000),
+        ("", "127.0.0.1", FOXGLOVE_PORT), ("0", "127.0.0.1", 0), ("0.0.0.0:9000", "0.0.0.0", 9000),
         ("[::1]:9000", "::1", 9000),
     ],
-)
+)  # fmt: skip
 def test_an_address_is_a_port_with_an_optional_host(text: str, host: str, port: int) -> None:
     assert viewing.foxglove_address(text) == Listening(host=host, port=port)
     for malformed in ("eight", "70000", "-1", ":8765", "localhost:", "10.0.0.1"):

@@ -80,11 +80,9 @@ def test_light_tables_of_names_equal_their_sources() -> None:
 def completed(line: str, home: Path) -> set[str]:
     """What bash offers behind a line."""
     environment = {
-        "VALOR_HOME": str(home),
-        "_VALORCTL_COMPLETE": "complete_bash",
-        "COMP_WORDS": line,
+        "VALOR_HOME": str(home), "_VALORCTL_COMPLETE": "complete_bash", "COMP_WORDS": line,
         "COMP_CWORD": str(line.count(" ")),
-    }
+    }  # fmt: skip
     result = CliRunner().invoke(app, [], env=environment, prog_name="valorctl", complete_var="_VALORCTL_COMPLETE")
     assert result.exit_code == 0, result.output
     return set(result.output.split())

@@ -60,13 +60,10 @@ def shown(status: Status, width: int) -> list[str]:
 BEGAN = time.time() - 44.0
 BAG = Path("/home/somebody/.valor/lab/bags/2026-01-31_14-05-00/2026-01-31_14-05-00.mcap")
 FALLEN = replace(
-    status("lockstep", 1.0, 45.0, 12.3),
-    instance="lab",
-    behavior="fall",
-    control_mode="none",
+    status("lockstep", 1.0, 45.0, 12.3), instance="lab", behavior="fall", control_mode="none",
     condition=Condition("the pelvis is tilted 62°", 42.0, BEGAN, BAG),
     services=[Health("motion_manager", "failed", 1234567, 100.0, 1108.0, 12, "runs, but silent for 12.3 s")],
-)
+)  # fmt: skip
 
 
 def test_a_fall_is_shown_with_reason_time_command_and_bag() -> None:
@@ -240,12 +237,9 @@ print(level, text, *advice or [""], sep="\\n")
 )
 def test_the_check_of_real_time_reports_the_granted_priority(rtprio: int, nice: int, level: str, words: str) -> None:
     output = subprocess.run(
-        [sys.executable, "-c", _WITH_LIMITS, str(rtprio), str(nice)],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-c", _WITH_LIMITS, str(rtprio), str(nice)], capture_output=True, text=True, check=False,
         timeout=60.0,
-    )
+    )  # fmt: skip
     if output.returncode == 77:
         pytest.skip("this user may not have what is to be granted")
     assert output.returncode == 0, output.stderr

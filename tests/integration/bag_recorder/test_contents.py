@@ -63,11 +63,8 @@ def test_both_sides_are_in_one_bag_with_their_times(instance: RunningInstance, r
         for connection, timestamp, data in reader.messages():
             found.setdefault(connection.topic, []).append((timestamp, reader.deserialize(data, connection.msgtype)))
     expected = {
-        MOTORS: 500 + extra,
-        kit.SETPOINTS: 500 + extra_setpoints,
-        "/joint_states": 500,
-        "/robot_description": 1,
-    }
+        MOTORS: 500 + extra, kit.SETPOINTS: 500 + extra_setpoints, "/joint_states": 500, "/robot_description": 1,
+    }  # fmt: skip
     assert {topic: len(found[topic]) for topic in expected} == expected
     reported = [int(message.data) for _, message in found["/best_effort"]]
     assert reported == sorted(set(reported)) and 0 < len(reported) <= 20  # some may be lost

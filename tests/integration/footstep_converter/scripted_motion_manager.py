@@ -38,14 +38,10 @@ class ScriptedMotionManager:
 
     def report(self, state: str, performed: int = -1, executing: int = -1, **more: Any) -> None:
         self.step_status = StepStatus(
-            time=more.get("time", 5_000_000_000),
-            state=state,
-            reason=more.get("reason", ""),
-            queue_size=more.get("queue", 0),
-            last_performed_step_index=performed,
-            executing_step_index=executing,
+            time=more.get("time", 5_000_000_000), state=state, reason=more.get("reason", ""),
+            queue_size=more.get("queue", 0), last_performed_step_index=performed, executing_step_index=executing,
             first_changeable_step_index=more.get("changeable", -1),
-        )
+        )  # fmt: skip
 
     def publish(self) -> None:
         assert self.step_status is not None

@@ -29,15 +29,9 @@ class Cli:
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         environment = {k: v for k, v in os.environ.items() if not k.startswith(("VALOR_", "BIFROST_", "ROS_"))}
         process = subprocess.Popen(
-            [VALORCTL, *arguments],
-            env=environment | {"VALOR_HOME": str(self.home)},
-            cwd="/",
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            umask=0o022,
-        )
+            [VALORCTL, *arguments], env=environment | {"VALOR_HOME": str(self.home)}, cwd="/",
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, umask=0o022,
+        )  # fmt: skip
         self.started.append(process)
         return process
 

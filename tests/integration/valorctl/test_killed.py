@@ -21,10 +21,8 @@ def test_killed_restarted_and_silent_processes_are_seen_as_such(ctl: Cli) -> Non
     wait_until(back, PATIENCE, "motion_manager is ready again")
     services = ctl.status()["services"]
     assert {name: service["restarts"] for name, service in services.items()} == {
-        "bifrostd": 0,
-        "comms_manager": 0,
-        "motion_manager": 1,
-    }
+        "bifrostd": 0, "comms_manager": 0, "motion_manager": 1,
+    }  # fmt: skip
     after = services["motion_manager"]["pid"]
     output = ctl("restart", "motion_manager")
     assert ctl.pid("motion_manager") != after and str(ctl.pid("motion_manager")) in output

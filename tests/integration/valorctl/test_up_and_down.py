@@ -57,10 +57,8 @@ def test_from_up_to_down_nothing_stays_behind(ctl: Cli) -> None:
     assert printed.keys() | {"services"} == seen.keys()
     assert [service["name"] for service in printed["services"]] == list(seen["services"])
     assert {name: service["state"] for name, service in seen["services"].items()} == {
-        "bifrostd": "ready",
-        "comms_manager": "ready",
-        "motion_manager": "ready",
-    }
+        "bifrostd": "ready", "comms_manager": "ready", "motion_manager": "ready",
+    }  # fmt: skip
     assert seen["robot"] == "escher" and seen["behavior"] and seen["clock"]["mode"] == "lockstep"
     factor = wait_until(
         lambda: ctl.status()["clock"]["real_time_factor_since_start"], 30.0, "robot time for a real-time factor"

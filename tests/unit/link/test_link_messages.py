@@ -52,10 +52,8 @@ def test_garbage_raises_the_links_error_alone(data: bytes) -> None:
 
 def test_words_come_back() -> None:
     assert unpack_message(link_messages.pack_message(LinkMessageType.REFUSED, 7, b"why")) == (
-        LinkMessageType.REFUSED,
-        7,
-        b"why",
-    )
+        LinkMessageType.REFUSED, 7, b"why",
+    )  # fmt: skip
     with pytest.raises(SealError, match="at least 5"):
         unpack_message(bytes((LinkMessageType.GOAL, 1)))
 

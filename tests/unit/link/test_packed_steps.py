@@ -51,10 +51,8 @@ def test_steps_come_back(told: list[tuple[float, float, float, float]]) -> None:
     assert len(came) == len(sent)
     for ours, theirs in zip(sent, came, strict=True):
         assert (theirs.step_index, theirs.foot.foot_index, theirs.valid) == (
-            ours.step_index,
-            ours.foot.foot_index,
-            True,
-        )
+            ours.step_index, ours.foot.foot_index, True,
+        )  # fmt: skip
         assert theirs.foot.header == ours.foot.header
         p, q = ours.foot.pose.position, theirs.foot.pose.position
         assert max(abs(p.x - q.x), abs(p.y - q.y), abs(p.z - q.z)) <= 0.5 * packed_steps.POSITION + 1e-9

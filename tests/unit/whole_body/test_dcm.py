@@ -23,11 +23,9 @@ class Law:
             return point, integral, law.acceleration(com, point)
 
         self._evaluate = Kernel(
-            "law",
-            period,
-            (self._point, self._com, self._dt, self.integral),
+            "law", period, (self._point, self._com, self._dt, self.integral),
             (self._given, self._next, self._acceleration),
-        )
+        )  # fmt: skip
 
     def acceleration(self, com: np.ndarray, dcm: np.ndarray, reference: np.ndarray, dt: float) -> np.ndarray:
         """Of the CoM, its DCM to be at a reference that rests."""
@@ -131,11 +129,9 @@ class Follower:
         self.state, self._next, self._target, self._dt = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(1)
         self.state[0] = place
         self._evaluate = Kernel(
-            "follower",
-            lambda state, target, dt: [followed(state, target, 20.0, dt)],
-            (self.state, self._target, self._dt),
-            (self._next,),
-        )
+            "follower", lambda state, target, dt: [followed(state, target, 20.0, dt)],
+            (self.state, self._target, self._dt), (self._next,),
+        )  # fmt: skip
 
     def update(self, target: np.ndarray, dt: float) -> None:
         self._target[:], self._dt[0] = target, dt

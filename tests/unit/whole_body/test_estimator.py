@@ -85,11 +85,9 @@ def test_forces_contacts_and_centre_of_pressure(robot: RobotDescription) -> None
 def with_forces(proprioceptor: Proprioceptor, left: float, right: float, time: int) -> Proprioceptor:
     """The same, later, its feet loaded otherwise [N]."""
     return msgspec.structs.replace(
-        proprioceptor,
-        time=time,
-        left_foot_wrench=np.array((0.0, 0.0, left, 0.0, 0.0, 0.0)),
+        proprioceptor, time=time, left_foot_wrench=np.array((0.0, 0.0, left, 0.0, 0.0, 0.0)),
         right_foot_wrench=np.array((0.0, 0.0, right, 0.0, 0.0, 0.0)),
-    )
+    )  # fmt: skip
 
 
 @pytest.fixture

@@ -214,11 +214,9 @@ def test_limits_that_cross_cannot_be_solved(random_problem: Problem) -> None:
 def test_no_number_or_no_minimum_cannot_be_solved(random_problem: Problem, where: str, value: float) -> None:
     p = random_problem
     arrays = {
-        "gradient": p.objective.gradient,
-        "hessian": p.objective.hessian[:, 2],
-        "bias": p.dynamics.bias,
+        "gradient": p.objective.gradient, "hessian": p.objective.hessian[:, 2], "bias": p.dynamics.bias,
         "forces": p.contacts.forces[3],
-    }
+    }  # fmt: skip
     arrays[where][2] = value
     with pytest.raises(UnsolvableError, match=r"not finite|not positive definite"):
         p.solve(p.unbounded())

@@ -46,15 +46,11 @@ def situation(
     landing = placed(CENTRE[0] + 0.5 * x, 0.55 * y) + np.array((0.0, 0.0, CENTRE[2]))
     return Situation(
         step=Step(0, foot, level_pose(target[0], target[1], 0.0, heading), 0.06, 0.6, TRANSFER, adjustable),
-        stance=level_pose(3.0, -2.0, 0.0, heading),
-        swing=level_pose(behind[0], behind[1], 0.05, heading),
+        stance=level_pose(3.0, -2.0, 0.0, heading), swing=level_pose(behind[0], behind[1], 0.05, heading),
         centre=placed(CENTRE[0], CENTRE[1]) + np.array((0.0, 0.0, CENTRE[2])),
-        dcm_error=np.array((c * error[0] - s * error[1], s * error[0] + c * error[1], 0.0)),
-        landing_dcm=landing,
-        left=left,
-        least=least,
-        transfer=TRANSFER,
-    )
+        dcm_error=np.array((c * error[0] - s * error[1], s * error[0] + c * error[1], 0.0)), landing_dcm=landing,
+        left=left, least=least, transfer=TRANSFER,
+    )  # fmt: skip
 
 
 feet = st.sampled_from((0, 1))
@@ -91,12 +87,9 @@ def test_whatever_the_error_the_step_is_within_reach(
     step = Step(0, foot, sole, 0.06, 0.6, TRANSFER)
     slack = 1e-5 * (1.0 + max(map(abs, error)))  # the solver's, of a problem with such numbers
     wider = msgspec.structs.replace(
-        limits,
-        min_width=limits.min_width - slack,
-        max_width=limits.max_width + slack,
-        max_forward=limits.max_forward + slack,
-        max_backward=max(limits.max_backward, table.max_backward) + slack,
-    )
+        limits, min_width=limits.min_width - slack, max_width=limits.max_width + slack,
+        max_forward=limits.max_forward + slack, max_backward=max(limits.max_backward, table.max_backward) + slack,
+    )  # fmt: skip
     assert not StepRule(wider, ROBOT.tables.feet).reach(step, asked.stance)
     assert min(left, table.final) - 1e-6 <= found.left <= left + table.longest_delay + 1e-6
     assert np.isfinite(found.landing_dcm).all()
