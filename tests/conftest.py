@@ -4,7 +4,7 @@ import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,8 @@ import pytest
 from harness import examples  # noqa: F401 the profile of all property tests
 from harness.instance import RunningInstance, fresh_instance
 from valor.valorctl.instance.ros_domain import reserve
+
+Valorctl = Callable[..., tuple[int, str, str]]
 
 # A shell starts what runs in its background with SIGINT ignored, and that is inherited: the processes that tests
 # interrupt would go on for ever.
@@ -37,3 +39,19 @@ def ros_domain() -> Iterator[int]:
 def instance(home: Path) -> Iterator[RunningInstance]:
     with fresh_instance(home) as running:
         yield running
+
+
+@pytest.fixture
+def valorctl(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Valorctl:
+    """Run a command line in this process; returns exit status, output and errors."""
+    from valor.valorctl.__main__ import run
+
+    def called(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["valorctl", *arguments])
+        try:
+            status = run()
+        except SystemExit as ended:
+            status = int(ended.code or 0)
+        return status, *capsys.readouterr()
+
+    return called

@@ -139,8 +139,7 @@ def test_services(net: BifrostNetwork) -> None:
     assert client.wait_for_server(10.0)
     registered(net, "serve_peer", "asker")
     [service] = run_json("service", "list")
-    assert service["name"] == "lab/ask"
-    assert [end["types"] for end in service["servers"]] == [["Question", "Answer"]]
+    assert service["name"] == "lab/ask" and [end["types"] for end in service["servers"]] == [["Question", "Answer"]]
     assert run("service", "list").splitlines()[1].split()[:4] == ["lab/ask", "Question", "->", "Answer"]
 
     reply = run_json("service", "call", "lab/ask", '{"action": "open", "argument": 1}')

@@ -41,8 +41,7 @@ def test_a_new_subscriber_receives_messages_while_others_end(net: BifrostNetwork
             subscriber.linger = 0
             subscriber.connect(latch.endpoint)
             subscriber.setsockopt(zmq.SUBSCRIBE, NAME)
-            assert subscriber.poll(PATIENCE)
-            assert subscriber.recv() == NAME + wire.LATCHED + bytes([wire.VERSION, 1])
+            assert subscriber.poll(PATIENCE) and subscriber.recv() == NAME + wire.LATCHED + bytes([wire.VERSION, 1])
             return subscriber
 
         latch.send(frame(1))

@@ -59,5 +59,4 @@ def test_durations_are_measured_by_a_monotonic_clock() -> None:
 
 @pytest.mark.parametrize("call", ["time.time()", "datetime.now()", "datetime.datetime.utcnow()", "time.time_ns()"])
 def test_a_look_at_the_wall_is_seen(call: str) -> None:
-    assert list(wall_clocks(f"x = 3 + {call}"))
-    assert not list(wall_clocks("x = time.monotonic_ns() + perf.time()"))
+    assert list(wall_clocks(f"x = 3 + {call}")) and not list(wall_clocks("x = time.monotonic_ns() + perf.time()"))

@@ -218,8 +218,7 @@ def test_an_action_and_a_message_cross_between_processes(node: tuple[Node, Singl
 
         result = done.result().result
         assert (result.error_code, result.error_string) == (-5, "r_elbow_pitch: 0.1 rad")
-        assert feedback[0].header.frame_id == "r_elbow_pitch"
-        assert list(feedback[0].desired.positions) == [0.5, -1.25]
+        assert feedback[0].header.frame_id == "r_elbow_pitch" and list(feedback[0].desired.positions) == [0.5, -1.25]
         assert received[0].names == goal.trajectory.joint_names and list(received[0].position) == [0.5, -1.25]
         assert (received[0].bifrost_sequence, received[0].time) == (2**64 - 1, -(2**63))
         assert received[0].header.frame_id == "valor_ros_controller"

@@ -74,8 +74,7 @@ def test_every_service_is_ready_and_the_robot_stands(case: Case) -> None:
     status = case.system.status()
     assert {service["name"]: service["state"] for service in status["services"]} == dict.fromkeys(SERVICES, "ready")
     assert status["behavior"] == "stand" and status["control_mode"] == "stand"
-    assert status["robot"] == "escher" and status["profile"] == "sim"
-    assert status["clock"]["mode"] == "realtime"
+    assert status["robot"] == "escher" and status["profile"] == "sim" and status["clock"]["mode"] == "realtime"
     assert all(service["restarts"] == 0 for service in status["services"])
 
 

@@ -185,8 +185,7 @@ def test_soft_stop_keeps_balance_and_closes_the_interfaces(system: MotionSystem)
     held = system.pass_time(1.0).joint_setpoint[ARM_PLACES]
     system.refused("soft_stop: attention is locked", setpoints={"neck_yaw": 0.1})
     system.refused("soft_stop: manipulation is locked", setpoints=dict(zip(ARM, FORWARD, strict=True)))
-    assert np.allclose(system.pass_time(1.0).joint_setpoint[ARM_PLACES], held, atol=0.02)
-    assert system.height > STANDING
+    assert np.allclose(system.pass_time(1.0).joint_setpoint[ARM_PLACES], held, atol=0.02) and system.height > STANDING
     system.go(Behavior.STAND)
     system.pass_time(1.0)
     assert system.height > STANDING
@@ -303,5 +302,4 @@ def test_pushed_over_the_robot_goes_limp_and_stays_fallen(started: MotionSystem)
 
 def test_it_stops_at_once_when_requested(started: MotionSystem) -> None:
     """The last one in the shared system."""
-    assert started.instance.stop("motion_manager") == 0
-    assert "Traceback" not in started.instance.log("motion_manager")
+    assert started.instance.stop("motion_manager") == 0 and "Traceback" not in started.instance.log("motion_manager")

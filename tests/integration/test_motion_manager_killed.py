@@ -58,8 +58,7 @@ def test_a_comms_manager_killed_in_stand_prep_moves_nothing_until_commanded(star
 def test_a_killed_comms_manager_is_a_fall_with_its_reason(system: MotionSystem) -> None:
     system.instance.kill("comms_manager")
     system.instance.start("comms_manager")
-    assert "another world" in system.wait_behavior(Behavior.FALL).reason
-    assert not system.request("stand").accepted
+    assert "another world" in system.wait_behavior(Behavior.FALL).reason and not system.request("stand").accepted
 
 
 def killed_and_back(system: MotionSystem) -> list[Proprioceptor]:
@@ -103,8 +102,7 @@ def test_whoever_is_killed_no_joint_moves_until_somebody_commands_it(system: Mot
     system.wait_behavior(Behavior.FALL)
     system.pass_time(3.0)
     limp = killed_and_back(system)
-    assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason
-    assert system.height < 0.5
+    assert "before, the robot was in fall" in system.wait_behavior(Behavior.FALL).reason and system.height < 0.5
     assert driven(limp) < DRIVEN
     assert "stay limp" in system.instance.log("comms_manager")
 

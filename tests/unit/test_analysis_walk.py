@@ -54,8 +54,7 @@ def test_a_state_whose_measurement_no_one_received_is_left_out_and_no_force_is_c
     part = Track.from_messages([*states[:9], wild, *states[10:]], measured[:10] + measured[11:], ROBOT)
     assert part.sequence.tolist() == [*whole.sequence[:10], *whole.sequence[11:]]
     figures = WalkMetrics.of(part)
-    assert figures.force_error == pytest.approx(WalkMetrics.of(whole).force_error)
-    assert figures.ticks == COUNT - 1
+    assert figures.force_error == pytest.approx(WalkMetrics.of(whole).force_error) and figures.ticks == COUNT - 1
 
 
 def walked(behaviors: list[str], speeds: list[float]) -> Track:
@@ -79,8 +78,7 @@ def test_a_walk_lasts_from_the_first_motion_to_the_last(behavior: str) -> None:
 
 def test_a_walk_ends_with_the_fall_and_not_where_the_robot_comes_to_rest() -> None:
     track = walked(["fall", "walk", "walk", "walk", "fall", "fall", "walk"], [1.0] * 7)
-    assert track.walk() == (track.time[1], track.time[4])
-    assert WalkMetrics.of(track.between(*track.walk())).fell
+    assert track.walk() == (track.time[1], track.time[4]) and WalkMetrics.of(track.between(*track.walk())).fell
     assert not WalkMetrics.of(track.between(track.time[1], track.time[3])).fell
 
 
@@ -212,7 +210,6 @@ def test_every_figure_is_there_with_its_unit(report: tuple[WalkMetrics, Timeline
 
 def test_the_table_shows_the_same(report: tuple[WalkMetrics, Timeliness]) -> None:
     shown = dict(rows(*report))
-    assert shown["smallest knee angle"] == "0.40 rad"
-    assert shown["DCM error, rms"].startswith("3.0, 4.0, 0.0 mm")
+    assert shown["smallest knee angle"] == "0.40 rad" and shown["DCM error, rms"].startswith("3.0, 4.0, 0.0 mm")
     assert shown["deadlines missed"] == f"{LATE} of {COUNT}" and shown["solver failures"] == "1"
     assert shown["clock slip"] == "0.50 s"

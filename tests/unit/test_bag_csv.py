@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 import bifrost
 from harness.examples import examples
 from harness.places import ROBOTS
+from tests.conftest import Valorctl
 from valor.analysis.reading.csv_export import export
 from valor.bag_recorder.bag import Bag, RecordedTopic
 from valor.bag_recorder.bifrost_tap import TwinEncoder, twin_type
@@ -21,7 +22,6 @@ from valor.bags.stored import StoredBag
 from valor.common.messages import Motor
 from valor.robot.description import RobotDescription
 from valor.ros.definitions import definition
-from valor.valorctl.__main__ import run as main
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 COUNT = 400  # messages a topic
@@ -158,19 +158,12 @@ def test_damage_never_raises(foreign: Path, tmp_path: Path, data: st.DataObject)
         pass
 
 
-def test_the_verb_writes_what_is_readable_and_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_verb_writes_what_is_readable_and_fails(tmp_path: Path, valorctl: Valorctl) -> None:
     file = write(tmp_path / "bag", COUNT)
-    monkeypatch.setattr("sys.argv", ["valorctl", "bag", "csv", str(file), "--out", str(tmp_path / "whole")])
-    with pytest.raises(SystemExit, match="0"):
-        main()
+    assert valorctl("bag", "csv", str(file), "--out", str(tmp_path / "whole"))[0] == 0
     file.write_bytes(file.read_bytes()[:-2000])
-    monkeypatch.setattr("sys.argv", ["valorctl", "bag", "csv", str(file)])
-    assert main() == 1
-    output = capsys.readouterr()
-    assert "damaged;" in output.err and "bytes are whole" in output.err
+    status, _, err = valorctl("bag", "csv", str(file))
+    assert status == 1 and "damaged;" in err and "bytes are whole" in err
     assert (file.parent / "bag_csv").is_dir()
-    monkeypatch.setattr("sys.argv", ["valorctl", "bag", "csv", str(file)])
-    assert main() == 1
-    assert "expected an empty folder" in capsys.readouterr().err
+    status, _, err = valorctl("bag", "csv", str(file))
+    assert status == 1 and "expected an empty folder" in err

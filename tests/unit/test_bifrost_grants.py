@@ -61,13 +61,11 @@ def test_grants_are_the_same_through_the_network_file(
 ) -> None:
     grants = Grants(KEYS, publishers, servers)
     assert read_grants(json.loads(json.dumps(grants.plain())), Path("network.json")) == grants
-    assert grants.daemon == DAEMON
-    assert [grants.owner_of(key) for key in (*KEYS.values(), "")] == [*NAMES, MEMBER]
+    assert grants.daemon == DAEMON and [grants.owner_of(key) for key in (*KEYS.values(), "")] == [*NAMES, MEMBER]
     named = {name for owners in (*publishers.values(), *servers.values()) for name in owners}
     assert AccessPolicy(Path(), publishers, servers).owners == (DAEMON, *sorted(named - {DAEMON}))
 
 
 def test_without_owners_everything_is_everybodys() -> None:
     record = NodeRecord("node", 1, 1, "near", 1, (Entry("publisher", "a", (), ()),))
-    assert record.sifted(Grants(), MEMBER) == (record, [])
-    assert (Grants().plain(), Grants().daemon) == ({}, MEMBER)
+    assert record.sifted(Grants(), MEMBER) == (record, []) and (Grants().plain(), Grants().daemon) == ({}, MEMBER)

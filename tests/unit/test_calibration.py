@@ -62,8 +62,7 @@ def test_parameters_of_a_drive_are_found(seed: int, share: float, strength: floa
     dead = error - np.clip(error, -half, half)
     effort = strength * (share * ahead + k * dead + d * rate_error) + rng.normal(0.0, 0.25, count)
     found = identified(error + rng.normal(0.0, 1e-4, count), rate_error, ahead, effort, k, d)
-    assert found.strength == pytest.approx(strength, rel=0.03)
-    assert found.share == pytest.approx(share, abs=0.05)
+    assert found.strength == pytest.approx(strength, rel=0.03) and found.share == pytest.approx(share, abs=0.05)
     assert (found.half_play or 0.0) == pytest.approx(half, abs=0.0012)
 
 

@@ -52,8 +52,7 @@ def lifted_by(arm: str) -> FloatArray:
 def test_a_load_is_held_by_the_arm_that_carries_it_and_forgotten_when_it_is_put_down(standing: Robot) -> None:
     parts = standing.manager.components
     standing.run(2.0, right_hand_wrench=in_hand(np.array((0.0, 0.0, -30.0))))
-    assert parts.hand_loads.weights == pytest.approx([0.0, 30.0], abs=0.3)
-    assert not parts.servos.load[LEFT].any()
+    assert parts.hand_loads.weights == pytest.approx([0.0, 30.0], abs=0.3) and not parts.servos.load[LEFT].any()
     np.testing.assert_allclose(parts.servos.load[RIGHT], 30.0 * lifted_by("right_arm"), atol=0.3)
     standing.run(2.0)
     assert parts.hand_loads.weights == [0.0, 0.0] and not parts.servos.load.any()

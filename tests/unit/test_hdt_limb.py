@@ -126,8 +126,7 @@ def test_without_commands_it_holds_and_the_next_must_start_near() -> None:
     limb.setpoints(0.0)
     assert limb.engaged
     sent = limb.setpoints(SILENCE + PERIOD)
-    assert sent is not None and not limb.engaged
-    assert sent.position == pytest.approx(HOME) and not sent.velocity.any()
+    assert sent is not None and not limb.engaged and sent.position == pytest.approx(HOME) and not sent.velocity.any()
     assert limb.setpoints(SILENCE + 2 * PERIOD) is None
     limb.accept(command(HOME + 2 * ENGAGE, sequence=2), 1.0)
     sent = limb.setpoints(1.0)

@@ -58,8 +58,7 @@ def test_the_latch_holds_the_leaf_until_the_lever_is_turned(turned: float | None
     if turned is None:
         assert fixture.angle("leaf") > OPEN
     else:
-        assert fixture.angle("leaf") < HELD
-        assert fixture.angle("lever") == pytest.approx(angle, abs=math.radians(3.0))
+        assert fixture.angle("leaf") < HELD and fixture.angle("lever") == pytest.approx(angle, abs=math.radians(3.0))
 
 
 def test_the_lever_springs_back_and_the_leaf_stays_where_it_was_pushed() -> None:

@@ -31,8 +31,7 @@ class Watch:
         assert np.isfinite(position).all()
         assert np.isfinite(velocity).all()
         moved = (position - self.position) / DT
-        assert np.allclose(moved, velocity, atol=1e-9)
-        assert (np.abs(velocity) <= LIMITS.fastest * (1 + 1e-9)).all()
+        assert np.allclose(moved, velocity, atol=1e-9) and (np.abs(velocity) <= LIMITS.fastest * (1 + 1e-9)).all()
         jerked = np.abs(velocity - self.velocity) / DT
         assert (jerked <= SLACK * LIMITS.acceleration).all()
         outside = (position < ROBOT.lower - 1e-12) | (position > ROBOT.upper + 1e-12)

@@ -24,8 +24,7 @@ def standing(robot: Robot) -> Robot:
 
 
 def test_it_starts_idle_and_goes_to_stand_prep_with_the_first_proprioceptor(robot: Robot) -> None:
-    assert robot.behavior is Behavior.IDLE
-    assert "no comms_manager/proprioceptor yet" in robot.ask(Behavior.FREEZE)
+    assert robot.behavior is Behavior.IDLE and "no comms_manager/proprioceptor yet" in robot.ask(Behavior.FREEZE)
     assert robot.manager.report(0.0).behavior == "idle"
     robot.tick()
     assert robot.behavior is Behavior.STAND_PREP and robot.manager.authority.in_control
@@ -285,8 +284,7 @@ def test_no_joint_is_moved(behavior: str) -> None:
     motor = robot.motor
     assert motor is not None and motor.behavior == expected
     if expected is Behavior.FALL:
-        assert not motor.effort.any() and not motor.stiffness.any()
-        assert (motor.mode != JointMode.POSITION).all()
+        assert not motor.effort.any() and not motor.stiffness.any() and (motor.mode != JointMode.POSITION).all()
     else:
         assert np.array_equal(motor.position, FOUND) and not motor.velocity.any()
 

@@ -123,15 +123,13 @@ PATHS: tuple[tuple[Behavior, ...], ...] = (
 def test_a_velocity_moves_no_robot_that_does_not_walk(path: tuple[Behavior, ...]) -> None:
     steering = Steering(*path)
     assert steering.fsm.behavior is (path[-1] if path else Behavior.IDLE)
-    assert not steering.send(0.2, 0.0, 0.0)
-    assert steering.refusal().reason.endswith(f"it is {steering.fsm.behavior}")
+    assert not steering.send(0.2, 0.0, 0.0) and steering.refusal().reason.endswith(f"it is {steering.fsm.behavior}")
 
 
 @pytest.mark.parametrize("path", [WALKING, (*WALKING, Behavior.WALK_MANIPULATE)])
 def test_a_velocity_is_followed_in_both_behaviors_that_walk(path: tuple[Behavior, ...]) -> None:
     steering = Steering(*path)
-    assert not steering.walks and steering.send(0.2, 0.0, 0.0) and steering.walks
-    assert not steering.rejections.take()
+    assert not steering.walks and steering.send(0.2, 0.0, 0.0) and steering.walks and not steering.rejections.take()
 
 
 @pytest.mark.parametrize("place", range(3))

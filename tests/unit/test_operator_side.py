@@ -24,8 +24,7 @@ def settings(here: str) -> Settings:
 def test_only_operator_hosts_are_separated_from_the_robots_hosts() -> None:
     assert robots_hosts(settings("desk")) == ("motion",) and robots_hosts(settings("motion")) == ()
     assert robots_hosts(Settings(robot=ROBOTS / "escher", ros_domain_id=70)) == ()
-    assert "motion, by ssh" in robot_side_advice(settings("desk"))
-    assert robot_side_advice(settings("motion")) == ""
+    assert "motion, by ssh" in robot_side_advice(settings("desk")) and robot_side_advice(settings("motion")) == ""
 
 
 def test_a_verb_for_a_process_of_the_robots_side_names_the_ssh_command() -> None:

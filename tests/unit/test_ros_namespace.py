@@ -47,8 +47,7 @@ def test_what_is_no_namespace_is_refused(text: str) -> None:
 
 def test_a_node_stands_in_the_namespace_with_its_frames_and_its_time() -> None:
     settings = Settings(robot=Path(), ros_domain_id=1, namespace="lab/a")
-    assert settings.frame_prefix == "lab/a/"
-    assert {"__ns:=/lab/a", "/clock:=/lab/a/clock"} <= {*settings.ros_arguments}
+    assert settings.frame_prefix == "lab/a/" and {"__ns:=/lab/a", "/clock:=/lab/a/clock"} <= {*settings.ros_arguments}
     alone = Settings(robot=Path(), ros_domain_id=1)
     assert alone.frame_prefix == "" and alone.ros_arguments == ()
 

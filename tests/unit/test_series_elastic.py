@@ -138,8 +138,7 @@ def test_what_was_not_answered_keeps_its_last_state_and_stamp(bench: Bench) -> N
     second = bench.exchange(OFFSET + 0.01, but=frozenset({2}))
     rows = [NAMES.index("l_hip_pitch"), NAMES.index("l_knee_pitch")]
     assert second.position[rows] == pytest.approx([0.0, 0.0], abs=1e-6)
-    assert (second.stamp[rows] == first.stamp[rows]).all()
-    assert second.position[0] == pytest.approx(0.01, abs=1e-6)
+    assert (second.stamp[rows] == first.stamp[rows]).all() and second.position[0] == pytest.approx(0.01, abs=1e-6)
 
 
 def test_an_encoder_that_jumps_is_not_accepted_and_its_joint_held_by_what_it_says(bench: Bench) -> None:

@@ -96,6 +96,5 @@ def test_the_chrome_trace_has_a_slice_per_stage_across_messages() -> None:
         ("collect", 2, 1_002_100.0, 400.0),
         ("send motor", 1, 1_002_000.0, 1_000.0),
     ]
-    assert slices[0]["args"] == {"cpu_us": 1000.0}
-    assert slices[2]["args"] == {"cpu_us": 500.0, "proprioceptor": 7}
+    assert slices[0]["args"] == {"cpu_us": 1000.0} and slices[2]["args"] == {"cpu_us": 500.0, "proprioceptor": 7}
     assert {event["pid"] for event in events} == {2}

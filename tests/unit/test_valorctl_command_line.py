@@ -5,7 +5,6 @@ import shlex
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,10 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from harness.places import ROBOTS
+from tests.conftest import Valorctl
 from valor.common.instance import Instance, Settings
 from valor.common.messages import ModeStatus
 from valor.common.topics import MOTOR, SERVICE_TOPICS, TOPICS
-from valor.valorctl.__main__ import run as main
 from valor.valorctl.drive.control_mode import ModeChange
 from valor.valorctl.status.bifrost_verbs import catalogue
 from valor.valorctl.status.observation_verbs import exports
@@ -30,26 +29,13 @@ pytestmark = pytest.mark.portable
 COMMAND: Any = typer.main.get_command(app)
 
 
-Call = Callable[..., tuple[int, str, str]]
-
-
 @pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Call:
-    """Run a command line in an empty home; returns exit status, output and errors."""
+def call(valorctl: Valorctl, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Valorctl:
+    """In an empty home."""
     monkeypatch.setenv("VALOR_HOME", str(tmp_path))
     for name in ("VALOR_INSTANCE", "BIFROST_NETWORK", "BIFROST_KEYS"):
         monkeypatch.setenv(name, "")
-
-    def called(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.setattr("sys.argv", ["valorctl", *arguments])
-        try:
-            status = main()
-        except SystemExit as ended:
-            status = int(ended.code or 0)
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return called
+    return valorctl
 
 
 @pytest.mark.parametrize(
@@ -79,7 +65,7 @@ def test_a_named_instance_is_used(arguments: list[str], monkeypatch: pytest.Monk
 
 @pytest.mark.parametrize("arguments", [["--instance", "x", "topic", "list"], ["topic", "list", "--instance", "x"]])
 def test_bifrost_verbs_use_the_named_instance(
-    arguments: list[str], monkeypatch: pytest.MonkeyPatch, call: Call
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, call: Valorctl
 ) -> None:
     for name in ("VALOR_INSTANCE", "BIFROST_NETWORK", "BIFROST_KEYS"):
         monkeypatch.setenv(name, "other")
@@ -117,7 +103,9 @@ def test_a_wrong_command_line_is_status_2(arguments: list[str]) -> None:
         (["status", "--instance", "lab"], "`valorctl up --instance lab`"),
     ],
 )
-def test_errors_state_the_remedy_and_start_nothing(arguments: list[str], part: str, call: Call, tmp_path: Path) -> None:
+def test_errors_state_the_remedy_and_start_nothing(
+    arguments: list[str], part: str, call: Valorctl, tmp_path: Path
+) -> None:
     status, _, err = call(*arguments)
     assert status == 1 and part in err
     assert list(tmp_path.iterdir()) == []
@@ -180,7 +168,7 @@ def test_a_mode_is_reached_when_it_is_the_current_one(status: int, current: str,
         ["up", "--bag-ring", "0"], ["up", "--robot", "/nowhere"], ["status", "--instance", "No Name"],
     ],
 )  # fmt: skip
-def test_foreseeable_errors_take_one_line(arguments: list[str], call: Call) -> None:
+def test_foreseeable_errors_take_one_line(arguments: list[str], call: Valorctl) -> None:
     status, out, err = call(*arguments)
     assert (status, out) == (1, "")
     assert err.startswith("valorctl: ") and err.count("\n") == 1
@@ -193,8 +181,7 @@ def test_every_topic_and_service_is_in_the_catalogue(monkeypatch: pytest.MonkeyP
     instance.settings_file.write_text(Settings(robot=ROBOTS / "escher", control_rate=250.0, ros_domain_id=1).json())
     topics, services = catalogue("topic", None).read(), catalogue("service", None).read()
     assert topics.keys() == {row.name for row in TOPICS} and services.keys() == {row.name for row in SERVICE_TOPICS}
-    assert topics[MOTOR.name]["rate_hz"] == 250.0
-    assert topics[MOTOR.name]["may_publish"] == list(MOTOR.publishers)
+    assert topics[MOTOR.name]["rate_hz"] == 250.0 and topics[MOTOR.name]["may_publish"] == list(MOTOR.publishers)
 
 
 @pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda signum: signum.name)

@@ -9,10 +9,10 @@ import pytest
 from typer.testing import CliRunner
 
 from harness.places import ROBOTS
+from tests.conftest import Valorctl
 from valor.robot.description import RobotDescription
 from valor.robot_setup.skeleton import find_skeleton
 from valor.robot_setup.source import Question, Source
-from valor.valorctl.__main__ import run as main
 from valor.valorctl.terminal.app import app
 
 VALORCTL = Path(sys.executable).with_name("valorctl")
@@ -25,19 +25,9 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr("sys.argv", ["valorctl", "robot", *arguments])
-    try:
-        return main()
-    except SystemExit as ended:
-        return int(ended.code or 0)
-
-
-def test_a_model_becomes_a_valid_folder(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "new", str(MODEL), "--name", "mine", "--yes") == 0
-    reported = capsys.readouterr().out
+def test_a_model_becomes_a_valid_folder(here: Path, valorctl: Valorctl) -> None:
+    status, reported, _ = valorctl("robot", "new", str(MODEL), "--name", "mine", "--yes")
+    assert status == 0
     for words in ("mine: 38 joints, 75.9 kg", "l_knee_pitch, r_knee_pitch", " × 14.9 cm"):
         assert words in reported
     assert reported.endswith("Next:\n  valorctl robot check mine\n  valorctl up --robot mine\n")
@@ -46,21 +36,19 @@ def test_a_model_becomes_a_valid_folder(
     assert RobotDescription.load(here / "mine").name == "mine"
 
 
-def test_a_folder_is_replaced_only_with_force(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_is_replaced_only_with_force(here: Path, valorctl: Valorctl) -> None:
     (here / "mine").mkdir()
     (here / "mine" / "notes").touch()
-    new = ("new", str(MODEL), "--name", "mine", "--yes")
-    assert run(monkeypatch, *new) == 1
-    assert "exists; expected another --out" in capsys.readouterr().err
-    assert run(monkeypatch, *new, "--force") == 1
-    assert "robots' folders only" in capsys.readouterr().err
+    new = ("robot", "new", str(MODEL), "--name", "mine", "--yes")
+    status, _, err = valorctl(*new)
+    assert status == 1 and "exists; expected another --out" in err
+    status, _, err = valorctl(*new, "--force")
+    assert status == 1 and "robots' folders only" in err
     (here / "mine" / "robot.yaml").touch()
-    assert run(monkeypatch, *new, "--force") == 0
+    assert valorctl(*new, "--force")[0] == 0
     assert not (here / "mine" / "notes").exists()
-    assert run(monkeypatch, "new", "mine/model.xml", "--name", "mine", "--yes", "--force") == 1
-    assert "contains the source" in capsys.readouterr().err
+    status, _, err = valorctl("robot", "new", "mine/model.xml", "--name", "mine", "--yes", "--force")
+    assert status == 1 and "contains the source" in err
     assert sorted(file.name for file in here.iterdir()) == ["mine"]
 
 
@@ -68,14 +56,13 @@ def test_a_folder_is_replaced_only_with_force(
     ("content", "words"), [(None, "expected a file, MJCF or URDF"), ("<mujoco><worl", "XML parse error")]
 )
 def test_an_unsuitable_model_is_rejected_in_one_line(
-    content: str | None, words: str, here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    content: str | None, words: str, here: Path, valorctl: Valorctl
 ) -> None:
     before = []
     if content is not None:
         (here / "a.xml").write_text(content)
         before = ["a.xml"]
-    status = run(monkeypatch, "new", "a.xml", "--name", "mine", "--yes")
-    err = capsys.readouterr().err
+    status, _, err = valorctl("robot", "new", "a.xml", "--name", "mine", "--yes")
     assert status == 1
     assert err.startswith("valorctl: a.xml: ") and words in err and err.count("\n") == 1
     assert sorted(file.name for file in here.iterdir()) == before
@@ -138,10 +125,8 @@ def test_an_undriven_joint_causes_a_question(tmp_path: Path) -> None:
     assert find_skeleton(Source(file, lambda question: "servo")).passive.hinges == {}
 
 
-def test_the_picture_shows_the_robot(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "show", "escher") == 0
+def test_the_picture_shows_the_robot(here: Path, valorctl: Valorctl) -> None:
+    assert valorctl("robot", "show", "escher")[0] == 0
     image = matplotlib.image.imread(here / "escher.png")[:, :, :3]
     width = image.shape[1]
     for part in (image[:, : width // 4], image[:, width // 2 :]):
@@ -149,6 +134,5 @@ def test_the_picture_shows_the_robot(
     blue = (image[:, width // 4 : width // 2, 2] - image[:, width // 4 : width // 2, 0]) > 0.15
     assert blue.mean() > 0.02  # what touches
     (here / "file").touch()
-    assert run(monkeypatch, "show", "escher", "--out", "file/a.png") == 1
-    err = capsys.readouterr().err
-    assert err.startswith("valorctl: file/a.png: ") and err.count("\n") == 1
+    status, _, err = valorctl("robot", "show", "escher", "--out", "file/a.png")
+    assert status == 1 and err.startswith("valorctl: file/a.png: ") and err.count("\n") == 1

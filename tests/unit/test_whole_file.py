@@ -40,8 +40,7 @@ def test_a_failed_write_leaves_the_old_file_only(tmp_path: Path) -> None:
     whole_file.write(file, "old")
     with pytest.raises(OSError, match="File too large") as raised, full_disk():
         whole_file.write(file, bytes(4096))
-    assert raised.value.filename == str(file) and file.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [file]
+    assert raised.value.filename == str(file) and file.read_text() == "old" and list(tmp_path.iterdir()) == [file]
 
 
 def test_a_missing_folder_is_reported_with_the_files_name(tmp_path: Path) -> None:

@@ -37,8 +37,7 @@ def test_a_goal_of_an_arm_is_as_long_as_its_numbers() -> None:
     goal = kind()
     goal.trajectory.joint_names = list(ROBOT.tables.group("left_arm"))
     goal.trajectory.points = [JointTrajectoryPoint(positions=[0.1 * each for each in range(7)])]
-    assert len(CODEC.pack(goal)) < len(serialize_message(goal)) / 2
-    assert CODEC.unpack(CODEC.pack(goal), kind) == goal
+    assert len(CODEC.pack(goal)) < len(serialize_message(goal)) / 2 and CODEC.unpack(CODEC.pack(goal), kind) == goal
 
 
 @examples(100)

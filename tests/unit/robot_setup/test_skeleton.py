@@ -25,8 +25,7 @@ def test_roles_and_soles_are_those_of_the_robots_own_file(name: str) -> None:
     # The lidar rotates on the head; in the model alone it is the end of the neck.
     expected = {group: list(joints) for group, joints in tables.groups.items() if group != "lidar"}
     expected["neck"] += tables.groups["lidar"]
-    assert groups(seen) == expected
-    assert (seen.name(seen.pelvis), seen.name(seen.chest)) == (tables.base, tables.chest)
+    assert groups(seen) == expected and (seen.name(seen.pelvis), seen.name(seen.chest)) == (tables.base, tables.chest)
     for side in ("left", "right"):
         assert seen.name(seen.legs[side].end) == getattr(tables.feet, side).body
         assert tables.hands is not None and seen.name(seen.arms[side].end) == getattr(tables.hands, side).body

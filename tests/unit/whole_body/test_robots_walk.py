@@ -76,5 +76,4 @@ def test_it_stands_pushes(name: str) -> None:
     for direction in ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0)):
         loop.plant.push(IMPULSE * np.array(direction), 0.1)
         loop.run(2.5)
-    assert loop.fall is None
-    assert np.hypot(*(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2]) < 0.02
+    assert loop.fall is None and np.hypot(*(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2]) < 0.02

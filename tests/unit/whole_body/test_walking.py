@@ -206,8 +206,7 @@ def test_steps_on_line_are_within_reach_and_alternate(command: tuple[float, floa
     soles = list(FEET)
     last = None
     for step in follow(VelocitySteps(tables.walking), command, 10):
-        assert step.foot != last
-        assert not StepRule(tables.footsteps, tables.feet).reach(step, soles[1 - step.foot])
+        assert step.foot != last and not StepRule(tables.footsteps, tables.feet).reach(step, soles[1 - step.foot])
         soles[step.foot], last = step.sole, step.foot
 
 
