@@ -132,10 +132,8 @@ def test_a_damaged_chunk_is_named(file: Path, tmp_path: Path) -> None:
 
 # Pictures show the robot, and show that it moved; plots show every joint.
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Bag:
-    path = tmp_path_factory.mktemp("bag") / "reach.mcap"
-    analysis_bag.write(path, ROBOT)
-    return Bag(path)
+def bag(file: Path) -> Bag:
+    return Bag(file)
 
 
 def read(path: Path) -> np.ndarray:

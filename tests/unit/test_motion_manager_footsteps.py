@@ -79,6 +79,11 @@ class Bench:
             pass
 
 
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
 def ahead(first: int, count: int, length: float = 0.2, x: float | None = None) -> list[Footstep]:
     """Steps straight ahead; step i ends at (i + 1)·length."""
     return [
@@ -93,8 +98,7 @@ def footstep(index: int, foot: int, x: float, y: float, yaw: float = 0.0, **more
     return Footstep(index, foot, np.array((x, y, 0.0)), orientation, **values)
 
 
-def test_indices_never_go_back() -> None:
-    bench = Bench()
+def test_indices_never_go_back(bench: Bench) -> None:
     assert bench.indices == (-1, -1, -1) and not bench.send(ahead(0, 3))
     seen = [bench.indices]
     while bench.go_on():
@@ -105,8 +109,7 @@ def test_indices_never_go_back() -> None:
 
 
 @pytest.mark.parametrize("events", [3, 4])
-def test_goes_on_behind_the_last_step_while_it_is_taken_and_until_it_is_at_rest(events: int) -> None:
-    bench = Bench()
+def test_goes_on_behind_the_last_step_while_it_is_taken_and_until_it_is_at_rest(bench: Bench, events: int) -> None:
     assert not bench.send(ahead(0, 3))
     for _ in range(events):
         assert bench.go_on()
@@ -117,9 +120,8 @@ def test_goes_on_behind_the_last_step_while_it_is_taken_and_until_it_is_at_rest(
     assert [step.index for step in bench.taken] == [0, 1, 2, 3, 4] and bench.status.state == "finished"
 
 
-def test_a_change_that_the_robot_has_overtaken_on_its_way_changes_what_comes_behind() -> None:
+def test_a_change_that_the_robot_has_overtaken_on_its_way_changes_what_comes_behind(bench: Bench) -> None:
     """Its first step is being taken already, and stays where it was; one that moves it comes too late."""
-    bench = Bench()
     assert not bench.send(ahead(0, 4))
     for _ in range(3):
         bench.go_on()
@@ -133,8 +135,7 @@ def test_a_change_that_the_robot_has_overtaken_on_its_way_changes_what_comes_beh
     assert (bench.status.state, bench.status.reason) == ("finished", "")
 
 
-def test_a_stop_brings_the_feet_together() -> None:
-    bench = Bench()
+def test_a_stop_brings_the_feet_together(bench: Bench) -> None:
     assert not bench.send([footstep(i, i % 2, 0.2 * (i + 1), 0.1 - 0.2 * (i % 2), yaw=0.1) for i in range(6)])
     bench.go_on()
     bench.go_on()
@@ -150,8 +151,7 @@ def test_a_stop_brings_the_feet_together() -> None:
     assert (bench.status.state, bench.status.reason) == ("finished", "stopped by somebody")
 
 
-def test_a_stop_takes_no_step_more_where_the_feet_come_together_anyway() -> None:
-    bench = Bench()
+def test_a_stop_takes_no_step_more_where_the_feet_come_together_anyway(bench: Bench) -> None:
     assert not bench.send([footstep(0, 0, 0.2, 0.1), footstep(1, 1, 0.2, -0.1), *ahead(2, 3, x=0.2)])
     bench.go_on()
     bench.go_on()
@@ -160,22 +160,19 @@ def test_a_stop_takes_no_step_more_where_the_feet_come_together_anyway() -> None
     assert [step.index for step in bench.taken] == [0, 1]
 
 
-def test_a_stop_of_a_plan_that_has_not_begun_ends_it() -> None:
-    bench = Bench()
+def test_a_stop_of_a_plan_that_has_not_begun_ends_it(bench: Bench) -> None:
     assert not bench.send(ahead(0, 3)) and not bench.send([]) and not bench.go_on()
     assert (bench.status.state, bench.taken) == ("finished", []) and bench.queue.take_finished()
 
 
-def test_a_plan_that_fails_has_no_steps_left() -> None:
-    bench = Bench()
+def test_a_plan_that_fails_has_no_steps_left(bench: Bench) -> None:
     assert not bench.send(ahead(0, 3))
     bench.go_on()
     bench.queue.fail("fallen")
     assert (bench.status.state, bench.queue.steps, bench.queue.executing) == ("failed", [], None)
 
 
-def test_a_stop_during_the_last_step_has_nothing_left_to_stop() -> None:
-    bench = Bench()
+def test_a_stop_during_the_last_step_has_nothing_left_to_stop(bench: Bench) -> None:
     assert not bench.send(ahead(0, 2))
     bench.go_on()
     bench.go_on()
@@ -184,17 +181,15 @@ def test_a_stop_during_the_last_step_has_nothing_left_to_stop() -> None:
     assert (bench.status.state, bench.status.reason) == ("finished", "")
 
 
-def test_no_foot_on_the_other() -> None:
+def test_no_foot_on_the_other(bench: Bench) -> None:
     """As wide as is allowed, and yet toe on toe: turned inwards."""
-    bench = Bench()
     narrow = -0.1 + ROBOT.tables.footsteps.min_width + 0.001  # type: ignore[union-attr]
     assert "step 0 (left): it would stand on the right foot" in bench.send([footstep(0, 0, 0.0, narrow, yaw=-0.5)])
     assert not bench.send([footstep(0, 0, 0.0, narrow)])
 
 
-def test_a_turn_is_that_of_the_headings_however_the_soles_tilt() -> None:
+def test_a_turn_is_that_of_the_headings_however_the_soles_tilt(bench: Bench) -> None:
     """Up one slope and down another, turned as far as may be, seen from a robot that looks aside."""
-    bench = Bench()
     limits = some(ROBOT.tables.footsteps)
     heading, tilt = 1.2, 0.9 * limits.max_tilt
 
@@ -217,15 +212,13 @@ def test_a_long_step_is_not_a_wide_one() -> None:
     assert f"expected 0 to {limits.max_distance:g}" in reason
 
 
-def test_only_in_step() -> None:
-    bench = Bench()
+def test_only_in_step(bench: Bench) -> None:
     bench.fsm.go(Behavior.STAND, "test")
     assert "the behavior is stand" in bench.send(ahead(0, 3)) and "the behavior is stand" in bench.send([])
     assert bench.rejections.total == 2
 
 
-def test_no_plan_while_the_robot_steps_to_keep_its_balance() -> None:
-    bench = Bench()
+def test_no_plan_while_the_robot_steps_to_keep_its_balance(bench: Bench) -> None:
     bench.controller.recovering = True
     assert "keep its balance" in bench.send(ahead(0, 2))
     bench.controller.recovering = False
