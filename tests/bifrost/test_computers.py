@@ -70,9 +70,7 @@ def test_a_node_that_ends_is_removed_on_its_computer_and_on_the_other(two_comput
 
 
 @pytest.mark.parametrize("killed", ["near", "far"])
-def test_data_flows_without_a_daemon_and_nodes_find_each_other_again(
-    two_computers: BifrostNetwork, killed: str
-) -> None:
+def test_data_flows_without_a_daemon_and_nodes_meet_again(two_computers: BifrostNetwork, killed: str) -> None:
     net = two_computers
     net.start_daemon("near")
     net.start_daemon("far")

@@ -61,9 +61,7 @@ def test_wait_returns_the_items_with_messages(net: BifrostNetwork) -> None:
 
 
 @pytest.mark.parametrize("queue", [None, 10])
-def test_a_wait_is_ended_from_another_thread_and_no_message_is_lost_by_it(
-    net: BifrostNetwork, queue: int | None
-) -> None:
+def test_a_wait_is_ended_from_another_thread_without_a_loss(net: BifrostNetwork, queue: int | None) -> None:
     publisher = net.node("publisher").publisher("lab/sample", Sample)
     subscriber = net.node("subscriber").subscriber("lab/sample", Sample, queue)
     connected(publisher, subscriber)

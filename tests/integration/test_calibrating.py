@@ -51,9 +51,7 @@ def off(client: RosClient, robot: RobotDescription, home: dict[str, float]) -> f
     return max(abs(now[name] - home[name]) for name in robot.tables.group(ARM))
 
 
-def test_interrupted_the_arm_is_back_and_nothing_is_written(
-    system: System, client: RosClient, robot: RobotDescription
-) -> None:
+def test_interrupted_the_arm_is_back_without_a_file(system: System, client: RosClient, robot: RobotDescription) -> None:
     home = client.joint_positions()
     process = system.start("calibrate", "arm", "right")
     try:
@@ -90,9 +88,7 @@ def test_it_finds_what_the_arm_is_and_the_robot_keeps_it(system: System, robot: 
     system.valorctl("robot", "check", str(robot.folder), "--no-play")
 
 
-def test_what_cannot_be_calibrated_is_refused_in_one_line(
-    system: System, client: RosClient, robot: RobotDescription
-) -> None:
+def test_what_cannot_be_calibrated_is_refused(system: System, client: RosClient, robot: RobotDescription) -> None:
     file = robot.folder / FILE
     shutil.rmtree(file.parent, ignore_errors=True)
     file.parent.write_text("in the way")

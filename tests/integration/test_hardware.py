@@ -93,9 +93,7 @@ def test_duplicates_are_refused_and_harm_nobody(standing: Bench) -> None:
 @pytest.mark.parametrize(
     ("unit", "fault", "words"), [("legs/1", "under_voltage", "40.0 V"), ("force_torque/1", "silent", "no valid state")]
 )
-def test_the_robot_comes_to_rest_and_stays_there_until_commanded(
-    standing: Bench, unit: str, fault: str, words: str
-) -> None:
+def test_the_robot_comes_to_rest_until_it_is_commanded(standing: Bench, unit: str, fault: str, words: str) -> None:
     standing.fail(unit, fault)
     wait_until(lambda: standing.behavior == "soft_stop", PATIENCE, "soft stop")
     assert standing.state.reason.startswith(f"{unit}: ") and words in standing.state.reason

@@ -88,9 +88,7 @@ def test_arms_and_hands_follow(bench: RobotOnDevices) -> None:
 @pytest.mark.parametrize(
     ("process", "reason"), [("hdt_bridge", "hdt_bridge is not running"), ("hdt_driver", "does not publish")]
 )
-def test_driver_and_bridge_may_die_and_come_back_without_a_jump(
-    bench: RobotOnDevices, process: str, reason: str
-) -> None:
+def test_driver_and_bridge_die_and_come_back_without_a_jump(bench: RobotOnDevices, process: str, reason: str) -> None:
     before = position(bench, "l_elbow_pitch")
     bench.running.kill(process)
 

@@ -181,9 +181,7 @@ def test_a_button_pressed_during_a_cut_is_reported_and_not_executed_after_it(ope
     assert page.text("state").startswith("stand_manipulate")
 
 
-def test_after_the_cut_commands_are_executed_and_the_pad_shows_the_age_of_the_velocity(
-    operation: Operation, page: Page
-) -> None:
+def test_after_the_cut_commands_are_executed_and_the_pad_shows_the_age(operation: Operation, page: Page) -> None:
     page.command("stand", "control mode stand:", "done")
     wait_until(lambda: operation.true() == "stand", PATIENCE, "the robot stands")
     page.command("walk", "control mode walk:", "done")

@@ -246,7 +246,7 @@ def test_the_latest_picture_comes_over_the_fast_channel_with_its_age(
     wait_until(lambda: len(ages) > 10 and ages[-1] > ages[-10], PATIENCE, "an age that grows without new pictures")
 
 
-def test_goals_of_an_end_that_died_are_not_left_open(
+def test_goals_of_a_dead_end_are_closed(
     running: tuple[RunningInstance, int], sides: tuple[Robot, RosClient, RosClient]
 ) -> None:
     robot, _, operator = sides

@@ -116,7 +116,7 @@ def test_tf_is_one_tree_of_both(clients: list[RosClient]) -> None:
         assert (message.header.frame_id, message.child_frame_id) == (f"{namespace}/odom", f"{namespace}/base_link")
 
 
-def test_verbs_plans_diagnostics_and_parameters_are_of_the_robot_that_is_meant(
+def test_verbs_plans_and_parameters_are_of_the_robot_that_is_meant(
     robots: list[System], clients: list[RosClient]
 ) -> None:
     mover, other = clients

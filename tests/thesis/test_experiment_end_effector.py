@@ -97,9 +97,7 @@ def test_what_the_base_does_is_distinguished_in_the_numbers(result: tuple[Result
     assert numbers["real arms: from set-points at rest, largest"] < 2.0
 
 
-def test_arbitrary_goals_are_reported_by_way_and_side_and_those_out_of_reach_with_the_reason(
-    result: tuple[Result, Path],
-) -> None:
+def test_arbitrary_goals_are_reported_by_way_and_side_or_with_the_reason(result: tuple[Result, Path]) -> None:
     found, out = result
     rows = {row[0]: row[1:] for row in found.tables[3].rows}
     assert [row[0] for row in rows.values()] == ["1"] * 6

@@ -41,9 +41,7 @@ def test_others_are_rejected(
     assert status == 1 and reported in err.replace("\n", " ")
 
 
-def test_all_of_them_are_tried_and_the_report_names_what_failed(
-    monkeypatch: pytest.MonkeyPatch, valorctl: Valorctl, tmp_path: Path
-) -> None:
+def test_all_are_tried_and_failures_named(monkeypatch: pytest.MonkeyPatch, valorctl: Valorctl, tmp_path: Path) -> None:
     monkeypatch.setenv("VALOR_HOME", str(tmp_path / "home"))
     out = tmp_path / "out"
     status, _, said = valorctl("experiment", "all", "--quick", "--robot", "nowhere", "--out", str(out))

@@ -85,9 +85,7 @@ def test_servos_start_with_identified_parameters(robot: RobotDescription) -> Non
         ("mass: 1.5", "mass: 0", "mass: expected"),
     ],
 )
-def test_an_invalid_key_is_rejected_with_file_and_line(
-    robot: RobotDescription, old: str, new: str, reported: str
-) -> None:
+def test_an_invalid_key_is_rejected_with_its_line(robot: RobotDescription, old: str, new: str, reported: str) -> None:
     file = write(robot, right_arm=found(robot, "right"))
     content = file.read_text()
     assert old in content

@@ -29,9 +29,7 @@ def test_keys_are_their_owners_alone(paths: tuple[Path, Path]) -> None:
     assert {mode(path) for path in keys.iterdir()} == {0o600} and mode(file) == 0o600
 
 
-def test_what_is_created_is_loaded_and_fresh_each_time(
-    paths: tuple[Path, Path], tmp_path: Path, ros_domain: int
-) -> None:
+def test_what_is_created_is_loaded_and_always_fresh(paths: tuple[Path, Path], tmp_path: Path, ros_domain: int) -> None:
     loaded = bifrost.Network.load(*paths)
     assert loaded == bifrost.Network.load(*paths) and loaded.computer == loaded.computers[0]
     assert loaded.computer.daemon == f"tcp://127.0.0.1:{loaded.computer.port}"

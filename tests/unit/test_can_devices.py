@@ -129,9 +129,7 @@ def test_nothing_of_a_sick_unit_is_accepted_and_the_others_continue(loop: Loop, 
         (EmulatedFault.UNDER_VOLTAGE, Fault.LOW_VOLTAGE, "40.0 V; expected more than 42 V"),
     ],
 )
-def test_a_fault_is_reported_with_value_and_limit(
-    loop: Loop, emulated: EmulatedFault, fault: Fault, detail: str
-) -> None:
+def test_a_fault_is_told_with_value_and_limit(loop: Loop, emulated: EmulatedFault, fault: Fault, detail: str) -> None:
     if loop.bench.device == SENSORS and fault is Fault.LOW_VOLTAGE:
         with pytest.raises(NoSuchFaultError):
             loop.inject(emulated)

@@ -128,7 +128,7 @@ UNSOUND = {
 }
 
 
-def test_an_unsound_motor_is_rejected_completely_and_each_kind_is_reported_once(
+def test_an_unsound_motor_is_rejected_whole_and_reported_once(
     devices: Devices, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert devices.hear(behavior="walk")
@@ -176,9 +176,7 @@ def test_before_the_first_motor_nothing_is_silent(devices: Devices) -> None:
 
 
 @pytest.mark.parametrize(("said", "limp"), [({}, False), (LIMP, True)], ids=["led", "limp"])
-def test_who_sends_nothing_for_a_time_is_silent_until_the_next_word(
-    devices: Devices, said: dict[str, Any], limp: bool
-) -> None:
+def test_who_sends_nothing_is_silent_until_the_next_word(devices: Devices, said: dict[str, Any], limp: bool) -> None:
     commands = devices.commands
     assert devices.hear(**said)
     devices.measure(OLDEST)
@@ -195,9 +193,7 @@ def test_who_sends_nothing_for_a_time_is_silent_until_the_next_word(
     assert commands.arbiter.silent
 
 
-def test_no_motor_is_accepted_before_the_first_state(
-    net: BifrostNetwork, reflex: BalanceReflex, tmp_path: Path
-) -> None:
+def test_no_motor_is_taken_before_the_first_state(net: BifrostNetwork, reflex: BalanceReflex, tmp_path: Path) -> None:
     devices = Devices(net, reflex, tmp_path / "behavior.json")
     assert not devices.hear(answers=0) and devices.commands.arbiter.motor is None
     devices.close()
@@ -215,9 +211,7 @@ def test_an_absent_motion_manager_is_not_waited_for(devices: Devices) -> None:
     assert commands.arbiter.silent
 
 
-def test_a_wait_ends_with_the_answer_and_misses_in_a_row_are_silence(
-    devices: Devices, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_wait_ends_with_the_answer_and_misses_are_silence(devices: Devices, caplog: pytest.LogCaptureFixture) -> None:
     commands = devices.commands
     devices.say()
     assert commands.wait(LONG)

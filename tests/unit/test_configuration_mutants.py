@@ -357,9 +357,7 @@ FUZZED = [mutant for file in MUTATED for mutant in mutants(ESCHER / file)]
 
 @given(st.lists(st.sampled_from(FUZZED), min_size=1, max_size=3))
 @examples(60)
-def test_whatever_is_changed_is_taken_or_refused(
-    tmp_path_factory: pytest.TempPathFactory, chosen: list[Mutation]
-) -> None:
+def test_any_change_is_taken_or_refused(tmp_path_factory: pytest.TempPathFactory, chosen: list[Mutation]) -> None:
     """Numbers are replaced, names exchanged, lines dropped: nothing but a configuration error is raised."""
     folder = tmp_path_factory.mktemp("robot")
     written(ESCHER, folder, *chosen)

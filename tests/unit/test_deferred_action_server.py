@@ -72,9 +72,7 @@ def test_a_result_that_was_there_before_it_was_asked_for_is_had_and_by_several(s
 
 
 @pytest.mark.parametrize("latest", [60.0, -1.0])
-def test_a_late_goal_is_not_executed_but_ended_with_the_reason(
-    side: RosSide, monkeypatch: pytest.MonkeyPatch, latest: float
-) -> None:
+def test_a_late_goal_is_ended_with_the_reason(side: RosSide, monkeypatch: pytest.MonkeyPatch, latest: float) -> None:
     monkeypatch.setattr(lateness, "LATE", latest)
     asked: Asked = Asked(
         side,

@@ -62,9 +62,7 @@ def test_a_knock_is_no_jump(changes: list[float], jitter: list[float]) -> None:
 @examples(60)
 @example(speed=15.0, decay=0.5, count=3, side=1.0, lag=0.75)
 @given(st.floats(8.0, 30.0), st.floats(0.5, 0.9), st.integers(3, 8), st.sampled_from([1.0, -1.0]), st.floats(0.0, 0.9))
-def test_a_knock_whose_velocity_is_reported_late_is_no_jump(
-    speed: float, decay: float, count: int, side: float, lag: float
-) -> None:
+def test_a_knock_that_is_told_late_is_no_jump(speed: float, decay: float, count: int, side: float, lag: float) -> None:
     """Set going at once, slowed down by friction; a servo filters what it says of its velocity."""
     knock = side * speed * decay ** np.arange(count)
     watch, believed = hear(answers(np.concatenate((still, knock, still)), lag=lag))
@@ -100,9 +98,7 @@ def test_a_knock_that_the_servo_brakes_is_no_jump(speed: float, brake: float, ph
     st.lists(st.floats(-LIMIT, LIMIT), min_size=2 * CALM, max_size=2 * CALM), st.floats(0.25, 3.0),
     st.sampled_from([1.0, -1.0]), st.booleans(),
 )  # fmt: skip
-def test_a_jump_is_one_whatever_the_joint_does_meanwhile(
-    velocities: list[float], jump: float, side: float, seen: bool
-) -> None:
+def test_a_jump_is_one_whatever_the_joint_does(velocities: list[float], jump: float, side: float, seen: bool) -> None:
     """``seen``: the servo works its velocity out of the same encoder, and so says a great one, once."""
     told = answers(np.array(velocities))
     moved = told[CALM][0] - told[CALM - 1][0]

@@ -44,9 +44,7 @@ def execution() -> Execution:
 
 
 @pytest.mark.parametrize(("state", "done"), [("finished", 1), ("failed", 1), ("idle", 1), ("finished", 3)])
-def test_an_end_with_a_cause_is_a_failure_however_many_steps_were_taken(
-    execution: Execution, state: str, done: int
-) -> None:
+def test_an_end_with_a_cause_is_a_failure_after_any_step(execution: Execution, state: str, done: int) -> None:
     execution.add_status(status("executing"), 0.1)
     execution.add_status(status(state, done, "the swing foot hit something"), 1.0)
     assert execution.outcome is not None and execution.outcome.end is End.ABORTED
@@ -92,9 +90,7 @@ def at(seconds: float) -> StepStatus:
 
 
 @pytest.mark.parametrize(("stood", "flags"), [(1.05, S.ERR_INVALID_BEHAVIOR_MODE), (0.95, S.ERR_UNKNOWN)])
-def test_a_change_to_stand_is_known_where_step_itself_went_unseen(
-    execution: Execution, stood: float, flags: int
-) -> None:
+def test_a_change_to_stand_is_known_though_step_went_unseen(execution: Execution, stood: float, flags: int) -> None:
     """By a word of steps being taken; but what was said of Stand before that word is old."""
     execution.add_status(at(1.0), 1.1)
     execution.add_behavior("stand", "requested by somebody", 1.1, round(stood * 1e9))
@@ -170,7 +166,7 @@ def test_what_does_not_come_is_named_and_the_end_is_not_confirmed(
     ("performed", "reason", "end", "flags"),
     [(1, "stopped", End.CANCELED, S.PREMATURE_HALT), (3, "", End.SUCCEEDED, S.REACHED_GOAL)],
 )
-def test_a_stop_ends_canceled_unless_it_comes_too_late(
+def test_a_stop_ends_canceled_or_too_late(
     execution: Execution, performed: int, reason: str, end: End, flags: int
 ) -> None:
     execution.add_status(status("executing"), 0.1)
@@ -232,9 +228,7 @@ words = st.one_of(
 
 
 @given(st.lists(st.tuples(words, st.floats(0.0, 1.0)), max_size=40))
-def test_success_is_claimed_only_of_a_finished_plan_and_no_outcome_changes(
-    story: list[tuple[tuple[str, str, int], float]],
-) -> None:
+def test_success_is_of_a_finished_plan_and_no_outcome_changes(story: list[tuple[tuple[str, str, int], float]]) -> None:
     execution = Execution(plan(0, 3), 0.0)
     now, executed, finished, outcome = 0.0, False, False, None
     for (kind, word, index), wait in story:

@@ -251,9 +251,7 @@ class TestUpdate:
         assert refused.value.status == (INCONSISTENT if " foot" in text else INDICES)
 
     @given(st.builds(level, *[st.floats(-3.0, 3.0)] * 4), st.integers(0, 5), st.sampled_from([3, 6]))
-    def test_is_moved_as_one_to_where_the_running_plan_has_the_step_in_common(
-        self, elsewhere: Pose, first: int, changeable: int
-    ) -> None:
+    def test_is_moved_as_one_to_the_step_in_common(self, elsewhere: Pose, first: int, changeable: int) -> None:
         """The planner believes the robot elsewhere: what comes of it is the plan as seen from the robot."""
         running = RunningPlan(self.RUNNING.steps, changeable)
         plan = self.update(first, 9 - first)

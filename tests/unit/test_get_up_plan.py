@@ -114,9 +114,7 @@ def test_eschers_table_is_what_its_plan_gives(tmp_path: Path) -> None:
     assert np.allclose(made.goals, kept.goals, atol=0.02)  # another machine's IPOPT ends a little elsewhere
 
 
-def test_a_robot_without_a_plan_is_reported(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_robot_without_a_plan_is_named(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.argv", ["valor.get_up_planning", str(ROBOTS / "thor")])
     assert main() == 1
     assert PLAN_FILE in capsys.readouterr().err

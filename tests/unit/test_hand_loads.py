@@ -93,9 +93,7 @@ def test_what_pushes_a_hand_down_that_presses_in_vain_is_not_held_as_a_load(stan
 
 
 @given(numbers=st.tuples(*[SMALL] * 9))
-def test_a_goal_in_odom_moves_in_the_pelvis_frame_as_the_pelvis_does(
-    standing: Robot, numbers: tuple[float, ...]
-) -> None:
+def test_a_goal_in_odom_moves_in_pelvis_as_the_pelvis_does(standing: Robot, numbers: tuple[float, ...]) -> None:
     """Its twist is what a moment changes of its pose."""
     place, velocity, turning = np.array(numbers).reshape(3, 3)
     state, dt = copy.copy(standing.manager.components.state), 1e-6

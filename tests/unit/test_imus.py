@@ -39,9 +39,7 @@ def bench(home: Path, request: pytest.FixtureRequest) -> Iterator[Bench]:
 
 
 @pytest.mark.parametrize("fault", UNSOUND)
-def test_nothing_of_a_sick_sensor_is_accepted_and_it_is_used_again_when_well(
-    bench: Bench, fault: EmulatedFault
-) -> None:
+def test_nothing_of_a_sick_sensor_is_accepted_until_it_is_well(bench: Bench, fault: EmulatedFault) -> None:
     with bench.running() as driver:
         sound(driver)
         bench.inject(bench.device, fault)

@@ -138,9 +138,7 @@ class Bench:
     factor=st.floats(0.01, 20.0), motor=st.floats(RATE, 2 * RATE), steps=st.floats(10.0, 30.0),
     pauses=st.lists(st.integers(1, 30), max_size=4),
 )  # fmt: skip
-def test_what_comes_as_often_as_it_should_is_never_blamed(
-    factor: float, motor: float, steps: float, pauses: list[int]
-) -> None:
+def test_what_comes_often_enough_is_never_blamed(factor: float, motor: float, steps: float, pauses: list[int]) -> None:
     bench = Bench()
     for pause in [*pauses, 1]:
         assert bench.run(10, motor, steps, factor) == {""}

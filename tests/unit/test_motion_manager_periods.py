@@ -140,7 +140,7 @@ def test_a_fall_makes_the_motors_limp_in_the_same_period(standing: Robot) -> Non
 
 @pytest.mark.parametrize("behavior", [Behavior.STAND, Behavior.FREEZE, Behavior.FALL])
 @pytest.mark.parametrize(("stop", "further"), [("upper", 0.05), ("lower", -0.05)])
-def test_joints_found_beyond_their_stops_are_not_commanded_there(
+def test_joints_beyond_stops_are_not_commanded_there(
     standing: Robot, behavior: Behavior, stop: str, further: float
 ) -> None:
     """``check`` looks at every Motor."""
@@ -297,9 +297,7 @@ def test_no_joint_is_moved(behavior: str) -> None:
         ({"left_foot_wrench": np.zeros(6)}, "the left foot carries 0 N"),
     ],
 )
-def test_one_that_balanced_and_does_not_stand_any_more_is_let_go(
-    behavior: Behavior, condition: dict[str, Any], reason: str
-) -> None:
+def test_one_that_balanced_and_fell_since_is_let_go(behavior: Behavior, condition: dict[str, Any], reason: str) -> None:
     robot = begin(behavior, **condition)
     assert robot.behavior is Behavior.FALL and reason in robot.manager.fsm.reason
 

@@ -246,7 +246,7 @@ names = st.one_of(st.sampled_from([*ROBOT.joints]), st.text(max_size=5))
         max_size=6,
     )
 )  # fmt: skip
-def test_no_message_however_broken_makes_a_joint_jump(
+def test_no_broken_message_makes_a_jump(
     messages: list[tuple[list[str], list[float], list[float], bool, int, int]],
 ) -> None:
     bench = Bench(Behavior.STAND_MANIPULATE)

@@ -202,9 +202,7 @@ def test_a_weight_is_a_finite_number_that_is_not_negative(manipulating: Robot, w
     assert manager.components.controller.weights.requested[0] == manager.components.controller.weights.lower[0]
 
 
-def test_refusals_are_counted_by_topic_sender_and_kind_and_remembered_within_bounds(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_refusals_are_counted_by_topic_sender_and_kind_within_bounds(caplog: pytest.LogCaptureFixture) -> None:
     rejections = RejectionCounter()
     kinds = [(topic, origin, kind) for topic in "ab" for origin in "cd" for kind in "ef"]
     for _ in range(3):

@@ -60,9 +60,7 @@ def same(a: ImuMeasurement, b: ImuMeasurement) -> bool:
 
 @given(Angle, Angle, st.floats(-0.5, 0.5), Angle)
 @examples(50)
-def test_who_takes_over_goes_on_at_the_heading_of_the_one_before(
-    first: float, second: float, roll: float, turned: float
-) -> None:
+def test_who_takes_over_goes_on_at_the_heading_before(first: float, second: float, roll: float, turned: float) -> None:
     """By how much headings differ is known from when both were received; the robot has turned since."""
     imu, kvh = StillDevice("imu", ROBOT), StillDevice("imu", ROBOT)
     source = AttitudeSource([imu, kvh])

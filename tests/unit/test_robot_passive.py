@@ -61,9 +61,7 @@ def test_both_models_are_the_same_robot_at_rest(robot: RobotDescription) -> None
         assert place == pytest.approx(places[1][name], abs=1e-6), name
 
 
-def test_a_body_with_sprung_toes_and_loops_steps_and_walks(
-    robot: RobotDescription, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_body_with_toes_and_loops_steps_and_walks(robot: RobotDescription, monkeypatch: pytest.MonkeyPatch) -> None:
     """Toes bend, loops stay closed and tips follow their fingers, while all of it stands, is pushed, and walks."""
     bent, gaps = [], []
     step = Plant.step

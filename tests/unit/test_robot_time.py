@@ -59,9 +59,7 @@ def command(robot: SimulatedRobot) -> None:
     robot.command(LEGS, JointMode.POSITION, {"position": robot.measured.joint_position[LEGS], **zero})
 
 
-def test_it_keeps_to_the_wall_when_nobody_is_there_yet(
-    robot: SimulatedRobot, pass_time: Callable[[float], None]
-) -> None:
+def test_it_keeps_to_the_wall_while_nobody_is_there(robot: SimulatedRobot, pass_time: Callable[[float], None]) -> None:
     pass_time(0.2)
     assert robot.time == pytest.approx(0.2, abs=STEP) and robot.slip == pytest.approx(0.0, abs=STEP)
 

@@ -32,9 +32,7 @@ def turn(tracer: Tracer, sequence: int) -> None:
     tracer.cycle()
 
 
-def test_marks_are_published_only_while_there_is_a_subscriber(
-    network: bifrost.Network, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_marks_are_published_to_subscribers_alone(network: bifrost.Network, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trace_module, "FLUSH_PERIOD", 0.02)
     with bifrost.Node("service", network=network) as node, bifrost.Node("listener", network=network) as listener:
         tracer = Tracer(node, "service")

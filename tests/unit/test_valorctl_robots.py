@@ -55,9 +55,7 @@ def test_a_folder_is_replaced_only_with_force(here: Path, valorctl: Valorctl) ->
 @pytest.mark.parametrize(
     ("content", "words"), [(None, "expected a file, MJCF or URDF"), ("<mujoco><worl", "XML parse error")]
 )
-def test_an_unsuitable_model_is_rejected_in_one_line(
-    content: str | None, words: str, here: Path, valorctl: Valorctl
-) -> None:
+def test_an_unsuitable_model_is_rejected(content: str | None, words: str, here: Path, valorctl: Valorctl) -> None:
     before = []
     if content is not None:
         (here / "a.xml").write_text(content)

@@ -62,7 +62,7 @@ def test_velocities_above_the_limits_are_rejected(robot: str) -> None:
     heading=st.floats(-3.0, 3.0), forward=st.floats(-0.3, 0.5), left=st.floats(-0.2, 0.2),
     offset=st.floats(-1.0, 1.0), off=st.floats(-0.5, 0.5),
 )  # fmt: skip
-def test_a_robot_next_to_its_line_returns_to_it(
+def test_a_robot_aside_returns_to_its_line(
     heading: float, forward: float, left: float, offset: float, off: float
 ) -> None:
     """A point without dynamics ends on the line with its first heading, within the sideways limit."""

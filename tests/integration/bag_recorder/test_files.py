@@ -70,9 +70,7 @@ def test_a_named_folder_is_one_bag_whatever_happens_to_its_recorder(instance: Ru
         assert reader.message_count == counted and len([1 for _ in reader.messages()]) == counted
 
 
-def test_bags_split_by_size_hold_all_between_them_and_each_what_is_latched(
-    instance: RunningInstance, ros: Node
-) -> None:
+def test_bags_split_by_size_hold_all_and_each_what_is_latched(instance: RunningInstance, ros: Node) -> None:
     description = ros.create_publisher(String, "/robot_description", KEPT)
     description.publish(String(data="<robot/>"))
     instance.configure(recording=Recording(split_bytes=1 << 20))

@@ -98,9 +98,7 @@ def test_feedback_comes_ten_times_a_second_and_with_every_step(
     assert {executing for _, executing, _ in indices} >= {1, 2, 3} and indices == sorted(indices)
 
 
-def test_steps_that_begin_before_the_acceptance_is_received_are_reported(
-    motion: ScriptedMotionManager, ros_client: PlanClient
-) -> None:
+def test_steps_begun_before_the_acceptance_are_reported(motion: ScriptedMotionManager, ros_client: PlanClient) -> None:
     def at_once(request: FootstepPlanRequest) -> tuple[bool, str]:
         for state, executing in (("idle", -1), ("executing", 0), ("executing", 1)):
             motion.report(state, performed=max(executing - 1, -1), executing=executing, changeable=executing + 1)

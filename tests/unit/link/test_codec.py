@@ -43,7 +43,7 @@ def close(received: FloatArray, sent: FloatArray) -> bool:
 
 @examples(60)
 @given(vectors(), st.none() | vectors(), st.integers(1, KEPT - 1))
-def test_within_its_range_every_value_arrives_within_half_a_step(
+def test_values_within_range_arrive_within_half_a_step(
     values: FloatArray, before: FloatArray | None, distance: int
 ) -> None:
     reference = None if before is None else CODEC.quantise(before)
@@ -121,9 +121,7 @@ def test_the_age_of_the_last_velocity_is_told_as_an_upper_bound_and_needs_no_fla
 
 @examples(60)
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60), st.integers(0, 2**32 - 1))
-def test_whatever_is_lost_of_frames_and_acknowledgements_what_comes_decodes(
-    fates: list[tuple[bool, bool]], seed: int
-) -> None:
+def test_whatever_is_lost_what_comes_decodes(fates: list[tuple[bool, bool]], seed: int) -> None:
     sender, receiver, random = Sender(CODEC), Receiver(CODEC), np.random.default_rng(seed)
     values = (LAYOUT.low + LAYOUT.high) / 2
     for number, (arrives, acknowledged) in enumerate(fates):

@@ -41,7 +41,7 @@ def seen_from_pelvis(mj: mujoco.MjModel, data: mujoco.MjData, pelvis: int, turn:
 @pytest.mark.parametrize("name", DRAWN)
 @examples(10)
 @given(st.integers(0, 2**32 - 1))
-def test_every_body_is_located_as_in_the_source(
+def test_bodies_are_where_the_source_has_them(
     pairs: dict[str, tuple[Skeleton, mujoco.MjModel]], name: str, seed: int
 ) -> None:
     robot, made = pairs[name]
@@ -63,9 +63,7 @@ def test_every_body_is_located_as_in_the_source(
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_masses_and_inertias_are_those_of_the_source(
-    pairs: dict[str, tuple[Skeleton, mujoco.MjModel]], name: str
-) -> None:
+def test_masses_and_inertias_are_the_sources(pairs: dict[str, tuple[Skeleton, mujoco.MjModel]], name: str) -> None:
     robot, made = pairs[name]
     maker = robot.source.mj
     assert made.body_mass.sum() == pytest.approx(maker.body_mass[list(robot.edges)].sum(), rel=1e-4)

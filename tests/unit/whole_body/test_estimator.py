@@ -161,9 +161,7 @@ def test_a_foot_that_slips_wears_off(robot: RobotDescription, model: Model, meas
     assert np.abs(state.pelvis_linear_velocity_in_odom).max() < 0.01
 
 
-def test_heading_drift_of_the_imu_is_held_by_the_feet(
-    robot: RobotDescription, model: Model, measured: Proprioceptor
-) -> None:
+def test_the_imus_heading_is_held_by_the_feet(robot: RobotDescription, model: Model, measured: Proprioceptor) -> None:
     estimator = FloatingBaseEstimator(robot, model)
     rate = 0.01  # [rad/s]
     start = rotation.quaternion(measured.imu_orientation)
@@ -204,9 +202,7 @@ def test_no_imu_is_believed_to_be_mounted_askew() -> None:
     assert LARGEST_LEVEL - 0.0015 < 2.0 * np.arctan2(float(x), float(w)) <= LARGEST_LEVEL
 
 
-def test_an_imu_that_is_off_level_is_found_out_by_gravity(
-    robot: RobotDescription, model: Model, measured: Proprioceptor
-) -> None:
+def test_an_imu_off_level_is_found_by_gravity(robot: RobotDescription, model: Model, measured: Proprioceptor) -> None:
     """Standing still: the IMU's attitude is 5 mrad off, its accelerometer is not."""
     estimator = FloatingBaseEstimator(robot, model)
     off = rotation.small(0.004, -0.003, 0.0)

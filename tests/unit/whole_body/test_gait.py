@@ -97,9 +97,7 @@ class Drops:
                    pos=[0.5 * (begin + end), 0.0, -0.5 - i * self._depth])  # fmt: skip
 
 
-def test_a_foot_that_finds_no_ground_in_time_is_no_fall(
-    robot: RobotDescription, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_foot_that_finds_no_ground_yet_is_no_fall(robot: RobotDescription, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps down of 5 cm that nobody told of, at 0.45 m/s: twice as deep as a foot is led."""
     monkeypatch.setitem(worlds.WORLDS, "drops", Drops(0.05))
     loop = ClosedLoop(robot, "hardware", 1, world="drops")

@@ -76,9 +76,7 @@ def test_a_jacobian_gives_the_velocity_of_what_it_is_of(task: type[Task], model:
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.name)
-def test_a_drift_is_the_change_of_the_velocity_at_constant_v(
-    task: type[Task], model: Model, state: RandomState
-) -> None:
+def test_a_drift_is_the_velocitys_change_at_constant_v(task: type[Task], model: Model, state: RandomState) -> None:
     step, rows = 1e-5, motions(model).rows[task.name]
 
     def velocity(time: float) -> FloatArray:
@@ -98,9 +96,7 @@ def test_a_velocity_is_that_of_the_jacobian(task: type[Task], model: Model, stat
     np.testing.assert_allclose(whole, dynamics.jacobian[rows] @ state.qvel, atol=1e-10)
 
 
-def test_rows_of_tasks_and_names_of_weights_have_the_order_of_the_interface(
-    robot: RobotDescription, model: Model
-) -> None:
+def test_rows_and_weights_have_the_order_of_the_interface(robot: RobotDescription, model: Model) -> None:
     of_all, table = motions(model), robot.read(Tuning).whole_body
     assert list(of_all.rows) == [task.name for task in TASKS]
     ends = [0, *(rows.stop for rows in of_all.rows.values())]

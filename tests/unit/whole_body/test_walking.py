@@ -136,9 +136,7 @@ def test_a_foot_that_goes_up_peels_off_over_its_toe() -> None:
 
 
 @given(st.floats(0.01, 0.44), st.floats(0.1, 0.5))
-def test_a_peeling_swing_has_the_derivatives_it_claims_and_is_retargeted_without_a_jump(
-    time: float, left: float
-) -> None:
+def test_a_peeling_swing_has_its_derivatives_and_is_retargeted_without_a_jump(time: float, left: float) -> None:
     swing = climbing()
     joints = (0.12, 0.18, 0.3)  # where polynomials meet
     if all(abs(time - joint) > 2 * DT for joint in joints):
@@ -160,9 +158,7 @@ def test_a_peeling_swing_has_the_derivatives_it_claims_and_is_retargeted_without
 @given(
     st.floats(0.02, 0.55), st.floats(0.05, 0.5), places, places, st.floats(-0.5, 0.5), st.floats(0.0, 0.1)
 )  # fmt: skip
-def test_a_retargeted_swing_goes_on_without_a_jump(
-    time: float, left: float, x: float, y: float, yaw: float, z: float
-) -> None:
+def test_a_retargeted_swing_does_not_jump(time: float, left: float, x: float, y: float, yaw: float, z: float) -> None:
     swing = swing_to(0.0)
     for _ in range(2):  # the second one begins from a swing that is none from rest
         before = swing.at(time)
