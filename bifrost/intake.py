@@ -49,22 +49,15 @@ _NOBODY = Stream(b"\0", b"\0", lambda _: None)  # matches no topic
 
 
 class Intake:
-    """Base of a subscriber.
-
-    Attributes:
-        topic: its name.
-        socket: SUB.
-        several: whether it is connected to more than one publisher.
-        drops: messages lost since start: gaps in the sequence (with a queue), and messages of muted publishers.
-        rejected: messages rejected since start: another schema, not decodable, or an impossible sequence or stamp.
-    """
+    """Base of a subscriber."""
 
     def __init__(
         self, discovery: Discovery, topic: str, own_codec: Codec[Any] | None, queue: int | None, limit: Limit | None
     ) -> None:
-        self.several = self._more = False
+        self.several = self._more = False  # connected to several publishers
         self._limit = limit
-        self.drops = self.rejected = 0
+        self.drops = 0  # messages lost since start: gaps in the sequence (with a queue), and of muted publishers
+        self.rejected = 0  # since start: another schema, not decodable, or an impossible sequence or stamp
         self._discovery = discovery
         self.topic = topic
         self._codec = own_codec

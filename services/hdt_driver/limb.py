@@ -42,20 +42,11 @@ class Limb:
 
     A joint *engages* on the first set-point near its position. Before that, and again after its modules or the commands
     timed out, it holds its position. The set-point of an engaged joint moves at a bounded speed.
-
-    Attributes:
-        name: its group in robot.yaml.
-        joints: their names, k of them.
-        position, velocity, effort, temperature: (k,) latest measurements [rad, rad/s, N·m, °C].
-        fault: (k,) ``Fault`` bits.
-        voltage: of its supply [V].
-        applied: sequence of the latest command that was applied before those measurements; 0 before the first.
-        rejected: number of rejected commands.
     """
 
     def __init__(self, robot: RobotDescription, name: str, period: float) -> None:
         """``period``: between two calls of ``setpoints`` [s]."""
-        self.name = name
+        self.name = name  # of its group in robot.yaml
         self.joints = tuple(robot.tables.groups[name])
         indices = robot.group_indices(name)
         self._lower, self._upper = robot.lower[indices], robot.upper[indices]
@@ -63,12 +54,13 @@ class Limb:
         self._velocity_limit = robot.velocity_limit[indices]
         self._step = _SPEED_MARGIN * self._velocity_limit * period
         k = len(self.joints)
+        # Latest measurements [rad, rad/s, N·m].
         self.position, self.velocity, self.effort = np.full(k, math.nan), np.zeros(k), np.zeros(k)
-        self.temperature = np.full(k, math.nan)
-        self.fault = np.full(k, _NO_ANSWER, dtype=np.uint8)
-        self.voltage = math.nan
-        self.applied = 0
-        self.rejected = 0
+        self.temperature = np.full(k, math.nan)  # [°C]
+        self.fault = np.full(k, _NO_ANSWER, dtype=np.uint8)  # ``Fault`` bits
+        self.voltage = math.nan  # of its supply [V]
+        self.applied = 0  # sequence of the latest command applied before those measurements; 0 before the first
+        self.rejected = 0  # number of commands
         self._target: Setpoints | None = None  # the latest valid one
         self._received = -math.inf  # [monotonic s]
         self._engaged = np.zeros(k, dtype=bool)

@@ -83,40 +83,28 @@ def joint_fields(robot: RobotDescription) -> tuple[Field, ...]:
 
 
 class Layout:
-    """Fields of one robot as vectors over all values, joints last.
-
-    Attributes:
-        size: N, of the vectors.
-        low: (N,) smallest values.
-        high: (N,) largest values, on the grid of steps.
-        step: (N,).
-        levels: (N,) number of levels of each value.
-        groups: indices of each group.
-        slices: of each field and joint.
-        fields: slices without joints.
-        joints: slice of the joints.
-    """
+    """Fields of one robot as vectors over all N values, joints last."""
 
     def __init__(self, robot: RobotDescription) -> None:
         joints = joint_fields(robot)
         fields = (*FIELDS, *joints)
         self.joint_names = tuple(field.name for field in joints)
-        self.step = np.array([field.step for field in fields for _ in range(field.size)])
-        self.low = np.array([field.low for field in fields for _ in range(field.size)])
+        self.step = np.array([field.step for field in fields for _ in range(field.size)])  # (N,)
+        self.low = np.array([field.low for field in fields for _ in range(field.size)])  # (N,) smallest values
         high = np.array([field.high for field in fields for _ in range(field.size)])
         counts = np.ceil((high - self.low) / self.step - 1e-9).astype(int) + 1
-        self.high = self.low + (counts - 1) * self.step
-        self.levels: list[int] = counts.tolist()
-        self.size = len(self.levels)
-        self.slices: dict[str, slice] = {}
-        self.groups: dict[str, list[int]] = {}
+        self.high = self.low + (counts - 1) * self.step  # (N,) largest values, on the grid of steps
+        self.levels: list[int] = counts.tolist()  # of each value
+        self.size = len(self.levels)  # N
+        self.slices: dict[str, slice] = {}  # of each field and joint
+        self.groups: dict[str, list[int]] = {}  # indices of each group
         place = 0
         for field in fields:
             self.slices[field.name] = slice(place, place + field.size)
             self.groups.setdefault(field.group, []).extend(range(place, place + field.size))
             place += field.size
         self.joints = slice(self.size - len(joints), self.size)
-        self.fields = {field.name: self.slices[field.name] for field in FIELDS}
+        self.fields = {field.name: self.slices[field.name] for field in FIELDS}  # without joints
 
 
 def smallest_three(quaternion: Any) -> tuple[FloatArray, int]:

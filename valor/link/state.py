@@ -18,39 +18,29 @@ _AGES = {"mode_age": np.inf, "behavior_age": np.inf, "velocity_age": VELOCITY_AG
 
 @dataclass
 class RobotState:
-    """Robot state; fields, units and bounds as in ``fields.py``.
+    """Robot state; fields, units and bounds as in ``fields.py``. Received ages are upper bounds."""
 
-    Attributes:
-        joints: (n,) [rad].
-        base_orientation: (4,) pelvis in odom: w, x, y, z.
-        foot_forces: (6,) left, right [N].
-        foot_torques: (6,) left, right [N·m].
-        mode_age: of the mode when the frame was encoded; received ages are upper bounds [s].
-        velocity_age: of the latest velocity published by the robot's end, when the frame was encoded [s].
-        clamped: (N,) of the layout; empty unless received.
-    """
-
-    joints: FloatArray
+    joints: FloatArray  # (n,) [rad]
     clock: int = 0
     stamp: int = 0
     base_position: FloatArray = field(default_factory=lambda: np.zeros(3))
-    base_orientation: FloatArray = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))
+    base_orientation: FloatArray = field(default_factory=lambda: np.array((1.0, 0.0, 0.0, 0.0)))  # w, x, y, z in odom
     base_velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
     base_turn: FloatArray = field(default_factory=lambda: np.zeros(3))
-    foot_forces: FloatArray = field(default_factory=lambda: np.zeros(6))
-    foot_torques: FloatArray = field(default_factory=lambda: np.zeros(6))
+    foot_forces: FloatArray = field(default_factory=lambda: np.zeros(6))  # left, right [N]
+    foot_torques: FloatArray = field(default_factory=lambda: np.zeros(6))  # left, right [N·m]
     mode: str = UNKNOWN
     requested_mode: str = UNKNOWN
     mode_status: int = 0
-    mode_age: float = np.inf
+    mode_age: float = np.inf  # when the frame was encoded [s]
     behavior: str = UNKNOWN
     behavior_age: float = np.inf
-    velocity_age: float = np.inf
+    velocity_age: float = np.inf  # of the latest velocity that the robot's end published, likewise [s]
     contacts: int = 0
     fault_level: int = 3
     faults: int = 0
     step: int = -1
-    clamped: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    clamped: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))  # (N,) if received
 
     def vector(self, layout: Layout) -> FloatArray:
         """(N,) for the codec."""

@@ -44,12 +44,9 @@ def joint_owners(robot: RobotDescription) -> dict[str, type[StrEnum]]:
 
 
 class UpperBody:
-    """Moves the reference of the joints that do not carry the robot. Times are robot time [s].
+    """Moves the reference of the joints that do not carry the robot; ``joints``: internal FSM → (n,) mask of its own.
 
-    Attributes:
-        owners: see ``joint_owners``.
-        joints: internal FSM → (n,) mask of its joints.
-        setpoint_sequence: of the last JointSetpoints accepted.
+    Times are robot time [s].
     """
 
     def __init__(self, robot: RobotDescription, reference: JointReference) -> None:

@@ -20,22 +20,15 @@ _log = logging.getLogger(__name__)
 
 
 class Series:
-    """All messages of one topic, in recorded order.
-
-    Attributes:
-        type: ROS type, such as ``valor_msgs/msg/Motor``.
-        messages: with the fields of the type, n of them.
-        received, sent: (n,) time of reception by the recorder and of publication, wall clock [s].
-    """
+    """All messages of one topic, in recorded order."""
 
     def __init__(
         self, topic: str, type_name: str, messages: Sequence[Any], received: FloatArray, sent: FloatArray
     ) -> None:
         self.topic = topic
-        self.type = type_name
-        self.messages = messages
-        self.received = received
-        self.sent = sent
+        self.type = type_name  # ROS type, such as ``valor_msgs/msg/Motor``
+        self.messages = messages  # n, with the fields of the type
+        self.received, self.sent = received, sent  # (n,) by the recorder; by the publisher, wall clock [s]
         self._columns: dict[str, FloatArray] = {}
 
     @classmethod
