@@ -33,7 +33,7 @@ ROS_TYPES = {
 _MODULES = [process.module for process in PROCESSES if process.name != DAEMON]
 CONSTANTS: dict[type[Message], type[IntEnum]] = {Motor: JointMode}
 _HEADER = """\
-std_msgs/Header header    # stamp: publication on the wall clock; frame_id: the node that published it
+std_msgs/Header header    # stamp: publication on the wall clock; frame_id: empty, frames are in names
 uint64 bifrost_sequence
 """
 

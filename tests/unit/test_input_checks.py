@@ -64,6 +64,20 @@ def test_what_commands_need_is_no_flood(rate: float, seconds: float) -> None:
     assert topics.floods.report() == "" and topics.taken == list(range(1, len(topics.taken) + 1))
 
 
+def test_publishers_that_send_in_turn_are_named_and_one_that_begins_again_is_not() -> None:
+    topics = Topics("wheel", "headset")
+    topics.send(100.0, 1.0)
+    topics.send(100.0, 1.0)  # begun again
+    assert topics.floods.report() == ""
+    for number in range(1, 200):
+        for each in (1000 + number, number):
+            topics._counted(number, {"publication_sequence_number": each})
+        topics.now += 0.01
+    assert topics.floods.report() == "headset and wheel send to /a at the same time"
+    topics.now += REMEMBERED
+    assert topics.floods.report() == ""
+
+
 @given(st.floats(2.5 * ROS_TOPIC.rate, 10_000.0))
 def test_a_flooding_node_is_named_during_the_flood(rate: float) -> None:
     topics = Topics("evil")

@@ -77,6 +77,8 @@ GOOD = [point(1.0, [0.5, 0.5, 0.5]), point(2.0, [0.0, 1.0, 2.0])]
         (NAMES, [point(1, [0, 0, 0], [0, 0, 7]), point(9, [0, 0, 0])], ErrorCode.INVALID_GOAL, ("wrist", "7", "6")),
         (NAMES, [point(1, [0, 0, 0], [0, 0, 1])], ErrorCode.INVALID_GOAL, ("wrist", "last point")),
         (NAMES, [point(1, [0, 0, 0], effort=[1, 1, 1])], ErrorCode.INVALID_GOAL, ("effort",)),
+        (NAMES, [point(1, [0, 0, 0], [0, 0, 0], [0, 1e308, 0]), point(2, [0, 0, 0], [0, 0, 0], [0, 0, 0])],
+         ErrorCode.INVALID_GOAL, ("elbow", "at inf rad/s", "2 rad/")),
         # Way-points within the limits, the spline between them not.
         (NAMES, [point(1, [0.9, 0, 0], [1.5, 0, 0]), point(2, [0.9, 0, 0], [0, 0, 0])], ErrorCode.INVALID_GOAL,
          ("shoulder", "-3 to 1")),

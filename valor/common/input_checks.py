@@ -18,6 +18,7 @@ REMEMBERED = 3.0  # time that a flood is reported after its end; longer than the
 ENOUGH = 0.9  # minimum of a topic's rate, as a fraction of its nominal one
 WINDOW = 3.0  # over which a rate is measured; shorter gaps are not reported [s]
 _SAMPLE_PERIOD = 0.5  # [s]
+_IN_TURN = 2_000_000_000  # in which numbers go back twice if two publishers send, once if one restarts [ns]
 _NAMED = 3  # maximum number of topics in a report
 
 
@@ -71,6 +72,7 @@ class Floods:
 class TopicFloods:
     """Senders that flood a ROS topic: messages are counted and all publishers of the topic named, not muted.
 
+    Publishers that send to one topic at the same time, whose commands replace each other's, are named, too.
     With one publisher, messages lost before the callback count, too; with several, only received ones do.
     """
 
@@ -83,13 +85,20 @@ class TopicFloods:
     def counted(self, topic: str, callback: Callable[[M], object]) -> Callable[[M, Mapping[str, int | None]], None]:
         """A callback that counts messages and passes them on; it takes a message and rclpy's message info."""
         received, sent = Meter(ROS_TOPIC), Meter(ROS_TOPIC)
-        latest = 0
+        latest, back, checked = 0, -_IN_TURN, -_IN_TURN
 
         def count(message: M, info: Mapping[str, int | None]) -> None:
-            nonlocal latest
+            nonlocal latest, back, checked
             now, before = int(self._clock() * 1e9), latest
             latest = info.get("publication_sequence_number") or 0
             too_much = received.exceeds(1, now)
+            if 0 < latest < before:
+                back, last = now, back
+                if now - last < _IN_TURN <= now - checked:
+                    checked, names = now, sorted(self._publishers(topic))
+                    several = f"{' and '.join(names)} send to {topic} at the same time"
+                    if len(names) > 1 and self._memory.note(several):
+                        _log.warning("%s", several)
             # A single jump of the number comes from a change of publisher.
             passed = min(max(1, latest - before), ROS_TOPIC.burst) if before else 1
             if sent.exceeds(passed, now) or too_much:

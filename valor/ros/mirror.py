@@ -15,9 +15,8 @@ M = TypeVar("M", bound=Message)
 
 
 def to_ros(received: Received[Any], mirror: Any) -> None:
-    """Fill the ROS message with a Bifrost message, its origin and its sequence, stamped with the wall clock."""
+    """Fill the ROS message with a Bifrost message and its sequence, stamped with the wall clock."""
     mirror.header.stamp = WALL.now().to_msg()
-    mirror.header.frame_id = received.origin
     mirror.bifrost_sequence = received.sequence
     for name in received.message.__struct_fields__:
         value = getattr(received.message, name)

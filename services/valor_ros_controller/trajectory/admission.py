@@ -151,7 +151,7 @@ def _check_segments(
         # Also rejects NaN.
         if not (slow := speeds <= limits.fastest).all():
             segment, joint = np.argwhere(~slow)[0]
-            value = f"move at {speeds[segment, joint]:.3g} {limits.units[joint]}/s"
+            value = f"move at {np.nan_to_num(speeds[segment, joint], nan=np.inf):.3g} {limits.units[joint]}/s"
             limit = _speed(limits, joint)
         elif not (inside := (positions >= limits.lower - 1e-6) & (positions <= limits.upper + 1e-6)).all():
             segment, _, joint = np.argwhere(~inside)[0]
