@@ -1,7 +1,5 @@
 """Loop of the operator's end of the link."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time
@@ -55,11 +53,7 @@ class LinkOperator:
     """Serves the operator's ROS domain."""
 
     def __init__(self, context: Context) -> None:
-        """Join the operator's domain.
-
-        Raises:
-            ConfigurationError: no domain, or the robot's.
-        """
+        """Join the operator's domain. Raises ConfigurationError: no domain, or the robot's."""
         settings = context.settings
         if settings.link.domain is None or (not settings.hosts and settings.link.domain == settings.ros_domain_id):
             raise ConfigurationError(f"link: domain: got {settings.link.domain}; expected another than the robot's")

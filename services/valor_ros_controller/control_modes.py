@@ -1,7 +1,5 @@
 """Control modes (thesis figure 4.3): their table, read from ``control_modes.yaml``, and admission of requests."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +29,14 @@ class ControlMode(Table, kw_only=True):
     lacking: str = ""  # not in the file: limbs that the robot lacks for this mode
 
 
+@dataclass(frozen=True)
+class Target:
+    """Mode that a request leads to; of an emergency stop, alternatives if the Motion System rejects it."""
+
+    mode: str
+    other_stops: tuple[str, ...] = ()
+
+
 class ControlModeTable(Table):
     """The complete file."""
 
@@ -51,7 +57,7 @@ class ControlModeTable(Table):
                 raise TableError((key,), f"unknown modes {sorted(unknown)}; expected of {sorted(known)}")
 
     @classmethod
-    def load(cls, file: Path = FILE) -> ControlModeTable:
+    def load(cls, file: Path = FILE) -> Self:
         """Read the table. Raises ConfigurationError: the file or a key is missing or invalid."""
         return read(cls, file)
 
@@ -118,14 +124,6 @@ class ModeRejectedError(ValueError):
     def __init__(self, error: ModeStatus, text: str) -> None:
         super().__init__(text)
         self.error = error
-
-
-@dataclass(frozen=True)
-class Target:
-    """Mode that a request leads to; of an emergency stop, alternatives if the Motion System rejects it."""
-
-    mode: str
-    other_stops: tuple[str, ...] = ()
 
 
 def admit(table: ControlModeTable, requested: str, current: str, behavior: str, under_way: str) -> Target:

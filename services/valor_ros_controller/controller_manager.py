@@ -4,8 +4,6 @@ The control mode manager runs the control mode controller, whose table determine
 and the robot manager.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterable, Sequence
 from enum import IntEnum

@@ -3,8 +3,6 @@
 A cycle reads, updates modes, switches controllers, updates joint and robot controllers, serves calls, and writes.
 """
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Two-slot buffer for the latest value between two threads (thesis section 3.5, figure 3.10)."""
 
-from __future__ import annotations
-
 from typing import Generic, TypeVar
 
 T = TypeVar("T")

@@ -1,7 +1,5 @@
 """Rejected requests of one kind: counted, logged at a bounded rate and queued for publication."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

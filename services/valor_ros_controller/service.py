@@ -4,8 +4,6 @@ Three threads (see ``docs/valor_ros_controller.md``): the main thread waits for 
 publishes; the ROS thread runs callbacks; the behavior commander waits for the Motion Manager's replies.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping
 from functools import partial

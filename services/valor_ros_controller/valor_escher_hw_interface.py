@@ -1,7 +1,5 @@
 """Valor Escher HW Interface (VEHWI): the robot's state and the controllers' commands (thesis section 3.5)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -58,8 +56,6 @@ class ValorEscherHWInterface:
         self._base_time = 0
         self._select()
 
-    # --- input ----------------------------------------------------------------------------------------------------
-
     def store_measurement(self, measured: Proprioceptor) -> None:
         self.time, self.measured = measured.time, measured
         self.position[: self.pelvis], self.velocity[: self.pelvis] = measured.joint_position, measured.joint_velocity
@@ -73,8 +69,6 @@ class ValorEscherHWInterface:
             velocity += (motion.pelvis_in_support - place - seconds * velocity) / max(seconds, PELVIS_SMOOTHING)
         place[:] = motion.pelvis_in_support
 
-    # --- joints ---------------------------------------------------------------------------------------------------
-
     def group_indices(self, groups: Sequence[str]) -> Indices:
         """Indices of the joints of robot.yaml's groups or the pelvis, in the order of ``groups``."""
         six = np.arange(self.pelvis, self.pelvis + 6)
@@ -83,8 +77,6 @@ class ValorEscherHWInterface:
     def limits(self, joints: Indices) -> CommandedLimits:
         """Names and limits of joints, in their order."""
         return self._limits.select(joints)
-
-    # --- claims ---------------------------------------------------------------------------------------------------
 
     def claim(self, controller: str, joints: Indices) -> None:
         """Make a controller the only writer of joints.

@@ -1,7 +1,5 @@
 """Reference of arms, hands, waist and neck by the states of the Manipulation and Attention FSMs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """Table of controllers, ``controllers.yaml``, and settings that change at run time."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,12 +77,8 @@ class ControllersTable(Table):
     robot_controllers: dict[str, TrajectoryControllerConfig] = field(default_factory=dict)
 
     @classmethod
-    def load(cls, file: Path = FILE) -> ControllersTable:
-        """Read the table.
-
-        Raises:
-            ConfigurationError: the file or a key is missing or invalid.
-        """
+    def load(cls, file: Path = FILE) -> Self:
+        """Read the table. Raises ConfigurationError: the file or a key is missing or invalid."""
         return read(cls, file)
 
     def of(self, robot: RobotDescription) -> Self:
@@ -129,7 +123,7 @@ class Settings:
     max_deceleration: FloatArray  # (n,) [1/s²]
 
     @classmethod
-    def of(cls, values: Mapping[str, Any], joints: Sequence[str]) -> Settings:
+    def of(cls, values: Mapping[str, Any], joints: Sequence[str]) -> Self:
         def each_joint(key: str) -> list[float]:
             return [values[f"constraints.{joint}.{key}"] for joint in joints]
 

@@ -4,8 +4,6 @@ A mode is current once the Motion System reports its behavior. A change without 
 client, the end of a footstep plan) is followed and reported as external.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import deque
 from dataclasses import dataclass
@@ -106,8 +104,6 @@ class ControlModeController(Controller):
         for client, report in answers:
             client.finish(report)
 
-    # --- Motion System --------------------------------------------------------------------------------------------
-
     def _lose_motion_system(self) -> None:
         """Drop mode, controllers and requests while it is silent."""
         self._next_mode = ""
@@ -171,8 +167,6 @@ class ControlModeController(Controller):
                 self.hard_resets += 1
         self.active_mode = actual
         self._finish(status, transition.reason, current=actual)
-
-    # --- requests -------------------------------------------------------------------------------------------------
 
     def _consider(self, requested: str, client: ModeClient | None) -> None:
         change = self._change

@@ -4,8 +4,6 @@ The controllers of controllers.yaml are loaded and configured from start to end;
 with the reason in the log, as their responses have no text.
 """
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 

@@ -1,7 +1,5 @@
 """ROS node of the VRC, and the thread of its callbacks."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """State of the robot, under ViGIR's and the standard names. Messages are serialized once (``prepared_message``)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product

@@ -3,8 +3,6 @@
 A participant of Fast DDS has one type per topic. The other type has a second participant, from the first publisher on.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """State topics of the Motion System, published in the update thread, and ``/diagnostics``."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Collection, Mapping
 from math import nan
