@@ -5,6 +5,11 @@
   const post = (text) => { if (parent !== window) parent.postMessage(text, "*") };  // no other page can be the parent
   setInterval(() => post("hello"), 1000);
   post("hello");
+  // Browsers may deny storage to a frame of another site: the page keeps the operator's secret, and names the frame so.
+  if (parent !== window) Object.defineProperty(window, "localStorage", { value: {
+    getItem: (key) => key.endsWith("valor_operator") && window.name || null,
+    setItem: (key, value) => { if (key.endsWith("valor_operator")) post({ operator: window.name = value }) },
+  } });
 
   const KEYS = { KeyQ: "turn left", KeyE: "turn right", KeyW: "forward", KeyS: "back", KeyA: "left", KeyD: "right",
                  ArrowUp: "forward", ArrowDown: "back", ArrowLeft: "turn left", ArrowRight: "turn right" };
@@ -26,6 +31,18 @@
     send();
     timer = setInterval(send, PERIOD);
   }
+  // On a phone, viser's controls take the lower part: here in full width, with the pad above them.
+  const style = document.documentElement.appendChild(document.createElement("style"));
+  style.textContent = `
+    #pad { position: fixed; left: 50%; bottom: 10px; transform: translateX(-50%); display: grid; gap: 6px; z-index: 5;
+           grid-template-columns: repeat(3, 72px); touch-action: none; user-select: none }
+    #pad button { height: 52px; border: 1px solid #777; border-radius: 8px; background: #fffd; font: 18px system-ui }
+    #pad button:active { background: #bcd }
+    @media (max-width: 36em) {
+      #pad { bottom: calc(45% + 8px) }
+      [style*="width: 20em"] { width: 100% !important; max-height: 45% !important }
+      [style*="width: 20em"] [style*="width: 20em"] { max-height: none !important }
+    }`;
   window.valorPad = (ids, walking) => {
     release();
     [buttons, walks] = [ids, walking];
@@ -33,13 +50,10 @@
     drawn = ids && walking ? document.body.appendChild(document.createElement("div")) : null;
     if (!drawn) return;
     drawn.id = "pad";
-    drawn.style = `position:fixed;left:50%;bottom:${innerWidth < 640 ? 60 : 10}px;transform:translateX(-50%);display:grid;gap:6px;` +
-                  "grid-template-columns:repeat(3,72px);z-index:5;touch-action:none;user-select:none";
     for (const name in SIGNS) {
       const button = drawn.appendChild(document.createElement("button"));
       button.textContent = SIGNS[name];
       button.title = button.ariaLabel = name;
-      button.style = "height:52px;border:1px solid #777;border-radius:8px;background:#fffd;font:18px system-ui";
       button.addEventListener("pointerdown", (event) => {
         event.preventDefault();
         button.setPointerCapture(event.pointerId);

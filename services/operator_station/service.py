@@ -16,7 +16,7 @@ from valor.common.viewing import scene_port, url
 from valor.operator_station.commands.commander import Commander
 from valor.operator_station.commands.queue import CommandQueue
 from valor.operator_station.gate import Gate
-from valor.operator_station.robot.intake import Intake, Listener
+from valor.operator_station.robot.intake import Intake
 from valor.operator_station.robot.modes import Modes
 from valor.operator_station.scene.scene import Scene
 from valor.operator_station.tabs import StationContext
@@ -41,7 +41,7 @@ class Controls:
 
     def __init__(self, parts: StationContext, modes: Modes, previewer: Previewer) -> None:
         self._client = parts.client
-        self._tabs = tabs = parts.client.gui.add_tab_group()
+        self._tabs = tabs = parts.client.gui.add_tab_group(order=-5.0)
         with tabs.add_tab("Drive"):
             self.drive = Drive(parts, modes)
         with tabs.add_tab("Arms"):
@@ -78,8 +78,9 @@ class OperatorStation:
         settings, robot, node = context.settings, context.robot, self._side.node
         linked = behind(settings)
         camera = not linked and HEAD_CAMERA in settings.asked
-        intake = Intake(linked=linked, camera=settings.link.picture if camera else "")
-        self._heard, self._listener = intake.heard, Listener(node, intake)
+        self._intake = Intake(linked=linked, camera=settings.link.picture if camera else "")
+        self._intake.listen(node)
+        self._heard = self._intake.heard
         groups = [group for group in ("left_arm", "right_arm", "left_hand", "right_hand", "neck", "torso")
                   if robot.tables.group(group)]  # fmt: skip
         self._commander = Commander(node, self._side.executor, groups, f"{settings.frame_prefix}odom")
@@ -94,7 +95,7 @@ class OperatorStation:
         self._truth = None if linked or world is None else GROUND_TRUTH.subscriber(context.node)
         self._previewer = Previewer(full_model(robot, "collision"))
         self._modes = Modes(arms=any(robot.tables.group(f"{side}_arm") for side in ("left", "right")))
-        self._view = View(server, linked) if linked or camera else None
+        self._view = View(server, self._front.tab, linked) if linked or camera else None
         self._url = url(port)
         self._controls: Controls | None = None
         desk.began, desk.ended = self._give_controls, self._take_controls
@@ -143,7 +144,7 @@ class OperatorStation:
 
     def _turn(self, frame: int, now: float) -> None:
         heard = self._heard
-        self._listener.look(now)
+        self._intake.look(now)
         if self._truth is not None and (received := self._truth.latest()) is not None:
             heard.fixtures = received.message.fixture_position
         self._desk.turn()

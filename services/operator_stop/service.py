@@ -20,7 +20,7 @@ from typing import Any
 from valor.common.errors import ConfigurationError
 from valor.common.linking import behind
 from valor.common.topics import STATISTICS
-from valor.common.viewing import LOOPBACK, own_names, page_port, scene_port
+from valor.common.viewing import LOOPBACK, own_names, page_port
 from valor.operator_stop.robot import BifrostRobot
 from valor.service import Context
 
@@ -50,7 +50,7 @@ class OperatorStop:
 
             self._robot = LinkedRobot(context)
         try:
-            self._server = _Server(port, scene_port(context.settings), self._robot)
+            self._server = _Server(port, self._robot)
         except OSError as error:
             self._robot.close()
             raise ConfigurationError(f"port {port} of {LOOPBACK}: {error.strerror}") from None
@@ -103,10 +103,10 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     request_queue_size = 256
 
-    def __init__(self, port: int, scene: int, robot: Any) -> None:
+    def __init__(self, port: int, robot: Any) -> None:
         super().__init__((LOOPBACK, port), _Handler)
         self.names = own_names(port)
-        self.page = (Path(__file__).parent / "page.html").read_text().replace("{scene_port}", str(scene))
+        self.page = (Path(__file__).parent / "page.html").read_text()
         self.scene_seen = float("-inf")
         self._robot = robot
         self._stop: _Stop | None = None
@@ -160,33 +160,23 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _IDLE
 
     def do_GET(self) -> None:
-        """The page, or the state."""
-        if not self._own():
-            return
-        if self.path == "/":
-            self._answer(HTTPStatus.OK, self.server.page, "text/html")
-        elif self.path == "/state":
-            self._answer(HTTPStatus.OK, json.dumps(self.server.state()), "application/json")
+        """Reject requests of pages of another origin; answer others."""
+        server, request = self.server, f"{self.command} {self.path}"
+        server.requested(self.connection)
+        hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
+        if len(hosts) != 1 or hosts[0] not in server.names or origins not in ([], [f"http://{hosts[0]}"]):
+            self._answer(HTTPStatus.FORBIDDEN, "not from a page of another origin", "text/plain")
+        elif request == "GET /":
+            self._answer(HTTPStatus.OK, server.page, "text/html")
+        elif request in ("GET /state", "POST /stop"):
+            known = server.stop() if self.path == "/stop" else server.state()
+            self._answer(HTTPStatus.OK, json.dumps(known), "application/json")
         else:
-            self._answer(HTTPStatus.NOT_FOUND, f"{self.path}: expected / or /state", "text/plain")
+            self._answer(HTTPStatus.NOT_FOUND, f"{request}: expected GET /, GET /state or POST /stop", "text/plain")
 
     def do_POST(self) -> None:
-        """Stop the robot."""
-        if not self._own():
-            return
-        if self.path == "/stop":
-            self._answer(HTTPStatus.OK, json.dumps(self.server.stop()), "application/json")
-        else:
-            self._answer(HTTPStatus.NOT_FOUND, f"{self.path}: expected /stop", "text/plain")
-
-    def _own(self) -> bool:
-        """Whether the request is from this page; else reject it."""
-        self.server.requested(self.connection)
-        hosts, origins = self.headers.get_all("Host", []), self.headers.get_all("Origin", [])
-        if len(hosts) == 1 and hosts[0] in self.server.names and origins in ([], [f"http://{hosts[0]}"]):
-            return True
-        self._answer(HTTPStatus.FORBIDDEN, "not from a page of another origin", "text/plain")
-        return False
+        """As ``do_GET``."""
+        self.do_GET()
 
     def _answer(self, status: HTTPStatus, text: str, kind: str) -> None:
         body = text.encode()

@@ -44,20 +44,41 @@ VIEW = """() => {
 
 
 class Page:
-    """One viewer's."""
+    """One viewer's page: STOP and state, and the view in a frame."""
 
-    def __init__(self, browser: Any, port: int) -> None:
-        self.context = browser.new_context(viewport=SIZE)
+    def __init__(self, browser: Any, port: int, **options: Any) -> None:
+        self.context = browser.new_context(**{"viewport": SIZE} | options)
         self.context.add_init_script(SLOWLY)
         self.page = self.context.new_page()
         self.page.set_default_timeout(1000.0 * PATIENCE)
         self.requests: list[str] = []
         self.page.on("request", lambda request: self.requests.append(request.url))
         self.page.goto(f"http://127.0.0.1:{port}/")
-        self.page.locator("#state").wait_for()
+        self.arrive()
+
+    def arrive(self) -> None:
+        """Wait for the view."""
+        self.page.frame_locator("#scene").locator("#state").wait_for(state="attached")
+
+    @property
+    def view(self) -> Any:
+        """The frame with the view."""
+        return self.page.locator("#scene").element_handle().content_frame()
+
+    def stop(self) -> None:
+        """Click, or tap, where STOP is; nothing may lie over it."""
+        box = self.page.locator("#stop").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        assert self.page.evaluate(f"document.elementFromPoint({x}, {y}).id") == "stop"
+        touch = self.page.evaluate("navigator.maxTouchPoints") > 0
+        self.page.touchscreen.tap(x, y) if touch else self.page.mouse.click(x, y)
+
+    def said(self, words: str) -> None:
+        """Wait for a text beside STOP."""
+        self.page.locator("header").get_by_text(words).first.wait_for()
 
     def text(self, place: str) -> str:
-        return str(self.page.locator(f"#{place}").inner_text())
+        return str(self.view.locator(f"#{place}").inner_text())
 
     def wait(self, place: str, what: Callable[[str], bool], name: str) -> str:
         deadline = time.monotonic() + PATIENCE
@@ -70,7 +91,7 @@ class Page:
         return self.wait(place, lambda text: words in text, words)
 
     def button(self, label: str) -> Any:
-        return self.page.get_by_role("button", name=label, exact=True).first
+        return self.view.get_by_role("button", name=label, exact=True).first
 
     def press(self, label: str) -> None:
         self.button(label).click()
@@ -104,7 +125,7 @@ class Page:
 
     def dismiss(self) -> None:
         """The notifications that cover the robot; they also go by themselves, at any moment."""
-        self.page.evaluate(
+        self.view.evaluate(
             "document.querySelectorAll('.mantine-Notification-closeButton').forEach((one) => one.click())"
         )
 
@@ -114,11 +135,11 @@ class Page:
         A slow browser sends the fields behind the button, and a notification goes by itself, seen or not; then it is
         asked again, as a person would.
         """
-        boxes = self.page.get_by_role("textbox")
+        boxes = self.view.get_by_role("textbox")
         for box, words in ((boxes.nth(0), name), (boxes.nth(1), token)):
             box.fill(words)
             box.blur()
-        said = self.page.get_by_text(told).first
+        said = self.view.get_by_text(told).first
         deadline = time.monotonic() + PATIENCE
         again = 0.0
         while not said.is_visible():
@@ -130,13 +151,13 @@ class Page:
             self.page.wait_for_timeout(100)
 
     def tab(self, name: str) -> None:
-        self.page.get_by_role("tab", name=name).click()
+        self.view.get_by_role("tab", name=name).click()
 
     def show_goal(self, side: str, *, shown: bool = True) -> None:
         """Of a hand, where the hand is; or hide it."""
-        self.page.get_by_text(f"{side} hand's goal").click()
+        self.view.get_by_text(f"{side} hand's goal").click()
         state = f"window.__viserSceneTree.getState()['/hand_goal/{side}']?.visibility"
-        self.page.wait_for_function(f"{state} === {str(shown).lower()}")
+        self.view.wait_for_function(f"{state} === {str(shown).lower()}")
 
     def drag(self, side: str, place: Any, turn: Any, way: float) -> str:
         """Pull a hand's goal that is shown at (3,) [m] and (3, 3) along one of its arrows, whichever can be seen.
@@ -144,7 +165,7 @@ class Page:
         Returns:
             What is said of it then.
         """
-        told, mouse = self.page.get_by_text(f"{side} hand to ("), self.page.mouse
+        told, mouse = self.view.get_by_text(f"{side} hand to ("), self.page.mouse
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
             for axis in range(3):
@@ -163,7 +184,7 @@ class Page:
 
     def at(self, point: Any) -> tuple[float, float]:
         """Where a point in odom [m] is on the screen."""
-        view, projection, (w, x, y, z) = self.page.evaluate(VIEW)
+        view, projection, (w, x, y, z) = self.view.evaluate(VIEW)
         turn = np.array((
             (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
             (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
@@ -171,26 +192,8 @@ class Page:
         ))  # fmt: skip
         seen = np.reshape(projection, (4, 4)).T @ np.reshape(view, (4, 4)).T @ (*(turn @ np.array(point)), 1.0)
         across, up = (seen[:2] / seen[3]).tolist()
-        box = self.page.locator("canvas").first.bounding_box()
+        box = self.view.locator("canvas").first.bounding_box()
         return box["x"] + 0.5 * (1.0 + across) * box["width"], box["y"] + 0.5 * (1.0 - up) * box["height"]
-
-
-class StopPage:
-    """The page around the view, with STOP."""
-
-    def __init__(self, context: Any, port: int) -> None:
-        self.page = context.new_page()
-        self.page.goto(f"http://127.0.0.1:{port}/")
-
-    def press(self) -> None:
-        """Click where STOP is; nothing may lie over it."""
-        box = self.page.locator("#stop").bounding_box()
-        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-        assert self.page.evaluate(f"document.elementFromPoint({x}, {y}).id") == "stop"
-        self.page.mouse.click(x, y)
-
-    def sees(self, words: str) -> None:
-        self.page.get_by_text(words).first.wait_for()
 
 
 def _number(line: str) -> int:

@@ -25,12 +25,12 @@ from harness.link_emulator import Emulator
 from harness.places import ROBOTS
 from harness.system import RosClient, System, running
 from harness.waiting import wait_until
-from tests.integration.operator_page import PATIENCE, Page, StopPage
+from tests.integration.operator_page import PATIENCE, Page
 from valor.common.instance import Instance, Settings
 from valor.common.linking import robot_ports
 from valor.common.messages import ModeStatus
 from valor.common.table import checked
-from valor.common.viewing import LOOPBACK, page_port, scene_port
+from valor.common.viewing import LOOPBACK, page_port
 from valor.link.classes import BY_CLASS, MessageClass
 from valor.robot.description import RobotDescription
 from valor.valorctl.instance.ros_domain import reserve
@@ -150,7 +150,7 @@ def test_what_is_asked_for_during_a_cut_is_not_done_after_it(operation: Operatio
 def page(browser: Any, operation: Operation) -> Page:
     """The page on the operator's side, with an operator."""
     instance = Instance(operation.system.name, Path(operation.system.environment["VALOR_HOME"]))
-    page = Page(browser, scene_port(instance.settings()))
+    page = Page(browser, page_port(instance.settings()))
     page.take_control("Ann", instance.operator_token.read_text(), "Ann operates")
     page.dismiss()
     page.sees("state", "control mode fresh")
@@ -185,21 +185,19 @@ def test_after_the_cut_commands_are_executed_and_the_pad_shows_the_age(operation
     page.command("stand", "control mode stand:", "done")
     wait_until(lambda: operation.true() == "stand", PATIENCE, "the robot stands")
     page.command("walk", "control mode walk:", "done")
-    page.page.get_by_text("no velocity has come through lately").wait_for()
+    page.view.get_by_text("no velocity has come through lately").wait_for()
     page.button("forward").hover()
     page.page.mouse.down()
     try:
-        page.page.get_by_text(re.compile(r"a velocity came through \d\.\d s ago")).wait_for()
+        page.view.get_by_text(re.compile(r"a velocity came through \d\.\d s ago")).wait_for()
     finally:
         page.page.mouse.up()
 
 
 def test_the_stop_of_the_page_goes_through_the_link(operation: Operation, page: Page) -> None:
-    instance = Instance(operation.system.name, Path(operation.system.environment["VALOR_HOME"]))
-    stop = StopPage(page.context, page_port(instance.settings()))
-    stop.press()
+    page.stop()
     wait_until(lambda: operation.true() == "soft_stop", PATIENCE, "the robot stops")
-    stop.sees("confirmed through the link: stopped")
+    page.said("confirmed through the link: stopped")
     page.wait("state", lambda text: text.startswith("soft_stop"), "the stop is shown")
     wait_until(
         lambda: operation.operator.change_mode("stand").status & ModeStatus.MODE_ACCEPTED, PATIENCE, "the robot stands"

@@ -147,6 +147,7 @@ def test_controls_that_command_exist_for_the_operator_alone(page: Page) -> None:
     bob.set("token", TOKEN)
     bob.set("Take over", True)
     wait_until(lambda: "walk" in bob.labels and "walk" not in page.ann.labels, PATIENCE, "controls follow the lease")
+    page.ann.set("token", TOKEN)
     page.ann.set("Take over", True)
     wait_until(lambda: "Preview the neck" in page.ann.labels and "walk" not in bob.labels, PATIENCE, "and come back")
     bob.socket.close()

@@ -56,12 +56,10 @@ class Commander:
         self._plans = ActionClient(node, ExecuteStepPlan, STEPS)
         self._arms = {group: ActionClient(node, FollowJointTrajectory, TRAJECTORY.format(group)) for group in groups}
         self._velocity = node.create_publisher(Twist, "cmd_vel", NEWEST)
-        self._goals = {
-            side: node.create_publisher(PoseStamped, f"flor/{name}/goal_pose", NEWEST) for side, name in TOPICS.items()
-        }
-        self._releases = {
-            side: node.create_publisher(Empty, f"flor/{name}/goal_cancel", NEWEST) for side, name in TOPICS.items()
-        }
+        self._goals, self._releases = (
+            {side: node.create_publisher(kind, f"flor/{name}/{topic}", NEWEST) for side, name in TOPICS.items()}
+            for kind, topic in ((PoseStamped, "goal_pose"), (Empty, "goal_cancel"))
+        )
         self._waiting: dict[int, tuple[Command, float]] = {}  # unacknowledged, with their timeouts, by sequence
         self._handles: dict[int, Any] = {}  # of running goals
         self._executor = executor
@@ -168,8 +166,7 @@ class Commander:
         if not publisher.get_subscription_count():
             raise _absent(command, publisher.topic_name)
         publisher.publish(message)
-        command.state = "acknowledged"
-        command.answer = "handed over"
+        command.state, command.answer = "acknowledged", "handed over"
 
     def _send(self, client: Any, goal: Any, command: Command, done: Done) -> None:
         if not client.server_is_ready():
@@ -199,8 +196,7 @@ class Commander:
     def _ended(self, future: Any, command: Command, done: Done) -> None:
         self._handles.pop(command.sequence, None)
         try:
-            command.answer = done(future.result().result)
-            command.state = "done"
+            command.state, command.answer = "done", done(future.result().result)
         except RefusalError as error:
             command.state, command.answer = "refused", str(error)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -53,18 +54,21 @@ class Intake:
         if linked:
             self.heard.ages.by_others(AGES)
         self.inputs: list[Input] = []
-        add = self._add
+
+        def add(kind: Any, topic: str, qos: QoSProfile, take: Callable[[Any, float], None]) -> None:
+            self.inputs.append(Input(kind, topic, qos, take))
+
         add(JointState, "joint_states", STREAM, self._joints)
         add(PoseStamped, "flor/state/pelvis_pose_world", STREAM, self._pelvis)
         add(MotionState, "flor/controller/motion_state", STREAM, self._motion)
         for name in POINTS:
-            add(PointStamped, f"flor/state/{name}", STREAM, self._point(name))
+            add(PointStamped, f"flor/state/{name}", STREAM, partial(self._point, name))
         for name in FEET:
-            add(WrenchStamped, WRENCH.format(name), STREAM, self._wrench(name))
+            add(WrenchStamped, WRENCH.format(name), STREAM, partial(self._wrench, name))
         for place, name in enumerate(FEET):
-            add(Bool, f"flor/{name}/contact", TOLD, self._contact(place))
+            add(Bool, f"flor/{name}/contact", TOLD, partial(self._contact, place))
         for name in HANDS:
-            add(HandGoalStatus, f"flor/{name}/goal_status", TOLD, self._hand(name))
+            add(HandGoalStatus, f"flor/{name}/goal_status", TOLD, partial(self._hand, name))
         add(ControlModeStatus, "flor/controller/mode", TOLD, self._mode)
         add(DiagnosticStatus, "flor/controller/robot_status", TOLD, self._status)
         add(Rejection, "flor/controller/rejection", EVENTS, self._rejection)
@@ -76,16 +80,22 @@ class Intake:
         elif camera:
             add(CompressedImage, camera, STREAM, self._picture)
 
-    def _add(self, kind: Any, topic: str, qos: QoSProfile, take: Callable[[Any, float], None]) -> None:
-        self.inputs.append(Input(kind, topic, qos, take))
+    def listen(self, node: Node) -> None:
+        """Subscribe."""
+        self._received = [(polled(node, each.kind, each.topic, each.qos), each.take) for each in self.inputs]
+
+    def look(self, now: float) -> None:
+        """Store received messages; ``now`` is monotonic [s]."""
+        for subscription, receive in self._received:
+            while (taken := take(subscription)) is not None:
+                receive(taken[0], now)
 
     def _joints(self, message: JointState, now: float) -> None:
         self.heard.joints = dict(zip(message.name, message.position, strict=False))
         self.heard.ages.heard("joints", now)
 
     def _pelvis(self, message: PoseStamped, now: float) -> None:
-        p, q = message.pose.position, message.pose.orientation
-        self.heard.pelvis = Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
+        self.heard.pelvis = _pose(message.pose)
         self.heard.ages.heard("pelvis", now)
 
     def _motion(self, message: MotionState, now: float) -> None:
@@ -96,33 +106,21 @@ class Intake:
             heard.tell(self.wall(), f"behavior {before} → {message.behavior}: {message.reason or 'asked for'}")
         heard.ages.heard("motion", now)
 
-    def _point(self, name: str) -> Callable[[PointStamped, float], None]:
-        def take(message: PointStamped, now: float) -> None:
-            self.heard.points[name] = np.array((message.point.x, message.point.y, message.point.z))
-            self.heard.ages.heard(name, now)
+    def _point(self, name: str, message: PointStamped, now: float) -> None:
+        self.heard.points[name] = np.array((message.point.x, message.point.y, message.point.z))
+        self.heard.ages.heard(name, now)
 
-        return take
+    def _wrench(self, name: str, message: WrenchStamped, now: float) -> None:
+        f, t = message.wrench.force, message.wrench.torque
+        self.heard.wrenches[name] = np.array((f.x, f.y, f.z, t.x, t.y, t.z))
+        self.heard.ages.heard(name, now)
 
-    def _wrench(self, name: str) -> Callable[[WrenchStamped, float], None]:
-        def take(message: WrenchStamped, now: float) -> None:
-            f, t = message.wrench.force, message.wrench.torque
-            self.heard.wrenches[name] = np.array((f.x, f.y, f.z, t.x, t.y, t.z))
-            self.heard.ages.heard(name, now)
+    def _contact(self, place: int, message: Bool, now: float) -> None:
+        self.heard.contacts[place] = message.data
 
-        return take
-
-    def _contact(self, place: int) -> Callable[[Bool, float], None]:
-        def take(message: Bool, now: float) -> None:
-            self.heard.contacts[place] = message.data
-
-        return take
-
-    def _hand(self, name: str) -> Callable[[HandGoalStatus, float], None]:
-        def take(message: HandGoalStatus, now: float) -> None:
-            self.heard.hands[name] = (message.state, message.reason, message.position_error)
-            self.heard.ages.heard(name, now)
-
-        return take
+    def _hand(self, name: str, message: HandGoalStatus, now: float) -> None:
+        self.heard.hands[name] = (message.state, message.reason, message.position_error)
+        self.heard.ages.heard(name, now)
 
     def _mode(self, message: ControlModeStatus, now: float) -> None:
         heard = self.heard
@@ -155,26 +153,13 @@ class Intake:
 
     def _plan(self, message: Any, now: float) -> None:
         heard, told = self.heard, message.feedback
-        heard.steps = []
-        for step in told.feedback.steps:
-            p, q = step.foot.pose.position, step.foot.pose.orientation
-            pose = Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))
-            heard.steps.append((step.step_index, step.foot.foot_index, pose))
+        steps = told.feedback.steps
+        heard.steps = [(step.step_index, step.foot.foot_index, _pose(step.foot.pose)) for step in steps]
         if told.status.error_msg:
             heard.tell(self.wall(), f"footsteps: {told.status.error_msg}")
         heard.ages.heard("steps", now)
 
 
-class Listener:
-    """Passes received messages to an intake; used from one thread."""
-
-    def __init__(self, node: Node, intake: Intake) -> None:
-        """Subscribe."""
-        self._intake = intake
-        self._subscriptions = [polled(node, each.kind, each.topic, each.qos) for each in intake.inputs]
-
-    def look(self, now: float) -> None:
-        """Store received messages; ``now`` is monotonic [s]."""
-        for subscription, each in zip(self._subscriptions, self._intake.inputs, strict=True):
-            while (taken := take(subscription)) is not None:
-                each.take(taken[0], now)
+def _pose(message: Any) -> Pose:
+    p, q = message.position, message.orientation
+    return Pose((p.x, p.y, p.z), (q.w, q.x, q.y, q.z))

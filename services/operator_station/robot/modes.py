@@ -39,11 +39,11 @@ class Modes:
         """Return why a mode may not be requested in a behavior; empty if it may."""
         if not mode.current:
             return "the robot's control mode is not known"
-        if name == mode.current and not mode.under_way:
+        under_way = mode.under_way
+        if name == mode.current and not under_way:
             return "the robot is in it"
         if not self._arms and (self._table[name]["motion"] or [""])[-1] in MANIPULATING:
             return "the robot has no arm to manipulate with"
-        under_way = mode.under_way
         if under_way and not (self._table[name].get("preempts") and under_way != name):
             return f"the change to {under_way} is under way"
         if name not in self._followers(mode.current, behavior):

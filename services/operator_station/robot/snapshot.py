@@ -47,17 +47,13 @@ class Ages:
 
     def old(self, name: str, now: float) -> bool:
         """Whether a value is shown in grey."""
-        return self.age(name, now) > self._bound(name)
-
-    def _bound(self, name: str) -> float:
-        return self._old + REPEATED.get(name, 0.0)
+        return self.age(name, now) > self._old + REPEATED.get(name, 0.0)
 
     def text(self, name: str, now: float) -> str:
         """Return the age for display, constant while the value is fresh."""
-        age = self.age(name, now)
-        if age == float("inf"):
+        if (age := self.age(name, now)) == float("inf"):
             return "never heard"
-        return "fresh" if age <= self._bound(name) else f"{age:.1f} s old" if age < 10.0 else f"{age:.0f} s old"
+        return "fresh" if not self.old(name, now) else f"{age:.1f} s old" if age < 10.0 else f"{age:.0f} s old"
 
 
 AGES = {

@@ -76,11 +76,6 @@ def faults(robot: RobotDescription, soles: tuple[Pose, Pose], steps: Sequence[tu
     return found
 
 
-def outline_of(robot: RobotDescription, foot: int, sole: Pose) -> FloatArray:
-    """Return (4, 3) corners of a sole in odom [m]."""
-    return sole_corners(robot, foot, np.array(sole.position), np.array(sole.rotation))
-
-
 def sole_corners(robot: RobotDescription, foot: int, position: FloatArray, turn: FloatArray) -> FloatArray:
     """Return (4, 3) corners [m] from position (3,) [m] and rotation (3, 3)."""
     table = (robot.tables.feet.left, robot.tables.feet.right)[foot]

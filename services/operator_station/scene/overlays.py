@@ -14,7 +14,7 @@ from valor.drawing import marks
 from valor.drawing.marks import rgb
 from valor.operator_station.robot.snapshot import RobotSnapshot
 from valor.operator_station.scene.body import Body
-from valor.operator_station.scene.footfalls import outline_of, sole_corners
+from valor.operator_station.scene.footfalls import sole_corners
 from valor.ros.limbs import FEET
 
 Color = tuple[int, int, int]
@@ -52,15 +52,13 @@ class Overlays:
         }
         for name, height in LABELS.items():
             scene.add_label(f"/points/{name}/label", name.replace("_", " "), position=(0.0, 0.0, height))
-        self._old: dict[str, bool] = {}
 
     def draw(self, heard: RobotSnapshot, body: Body, now: float) -> None:
         """Update; ``now`` is monotonic [s]."""
         for place, ((position, turn), handle) in enumerate(zip(body.soles(), self._soles, strict=True)):
             corners = sole_corners(self._robot, place, position, turn)
             _move(handle, _ring(corners))
-            bears = heard.contacts[place]
-            self._tint(f"sole{place}", handle, (LEFT, RIGHT)[place], not bears or heard.ages.old("joints", now))
+            _tint(handle, (LEFT, RIGHT)[place], not heard.contacts[place] or heard.ages.old("joints", now))
         hull = body.support(heard.contacts)
         floor = min(float(position[2]) for position, _ in body.soles()) + ABOVE
         ring = np.zeros((_EDGES, 2, 3))
@@ -69,7 +67,7 @@ class Overlays:
             ring[: len(edges)] = edges
             ring[len(edges) :] = edges[0, 0]
         _move(self._polygon, ring)
-        self._tint("polygon", self._polygon, POLYGON, heard.ages.old("joints", now))
+        _tint(self._polygon, POLYGON, heard.ages.old("joints", now))
         self._draw_forces(heard, body, now)
         self._draw_points(heard, floor, now)
 
@@ -80,31 +78,19 @@ class Overlays:
             if (wrench := heard.wrenches.get(name)) is not None:
                 arrows[place] = force_arrow(wrench, position, turn)
         _move(self._forces, arrows)
-        self._tint("forces", self._forces, FORCE, heard.ages.old(FEET[0], now))
+        _tint(self._forces, FORCE, heard.ages.old(FEET[0], now))
 
     def _draw_points(self, heard: RobotSnapshot, floor: float, now: float) -> None:
         for name, handle in self._points.items():
             point = heard.points.get(name)
-            known = point is not None and bool(np.isfinite(point[:2]).all())
-            if handle.visible != known:
-                handle.visible = known
-            if not known or point is None:
+            handle.visible = point is not None and bool(np.isfinite(point[:2]).all())
+            if not handle.visible or point is None:
                 continue
             # The DCM and the CoP are looked at on the floor; the CoM hangs where it is.
             place = point if name == "com" else np.array((point[0], point[1], floor))
             if np.abs(place - handle.position).max() > _STILL:
                 handle.position = place
-            self._tint(name, handle, POINTS[name][0], heard.ages.old(name, now))
-
-    def _tint(self, name: str, handle: Any, color: Color, old: bool) -> None:
-        """Set grey or the color once per change."""
-        if self._old.get(name) is not old:
-            self._old[name] = old
-            shown = GREY if old else color
-            if hasattr(handle, "colors"):
-                handle.colors = np.broadcast_to(np.array(shown, np.uint8), handle.colors.shape)
-            else:
-                handle.color = shown
+            _tint(handle, POINTS[name][0], heard.ages.old(name, now))
 
 
 class Footprints:
@@ -123,13 +109,14 @@ class Footprints:
             handle.remove()
         self._shown, self._handles = list(steps), []
         for index, foot, sole in steps:
-            corners = outline_of(self._robot, foot, sole).astype(np.float32)
+            corners = sole_corners(self._robot, foot, np.array(sole.position), np.array(sole.rotation))
             corners[:, 2] += ABOVE
             path = f"/{self._name}/{index}"
             self._handles.append(
                 self._scene.add_mesh_simple(
-                    path, corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32), color=(LEFT, RIGHT)[foot],
-                    opacity=self._opacity, side="double", cast_shadow=False, receive_shadow=False,
+                    path, corners.astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.uint32),
+                    color=(LEFT, RIGHT)[foot], opacity=self._opacity, side="double",
+                    cast_shadow=False, receive_shadow=False,
                 )
             )  # fmt: skip
             x, y, z = sole.position
@@ -153,6 +140,15 @@ def _move(handle: Any, points: FloatArray) -> None:
     """Send changed points only."""
     if np.abs(points - handle.points).max() > _STILL:
         handle.points = points.astype(np.float32)
+
+
+def _tint(handle: Any, color: Color, old: bool) -> None:
+    """Set the color, or grey."""
+    shown = GREY if old else color
+    if hasattr(handle, "colors"):
+        handle.colors = np.broadcast_to(np.array(shown, np.uint8), handle.colors.shape)
+    else:
+        handle.color = shown
 
 
 def _ring(corners: FloatArray) -> FloatArray:

@@ -32,7 +32,7 @@ class Figure:
     ) -> None:
         """Add it to the scene; ``color`` (None: the robot's) and ``opacity`` are for previews."""
         model = body.model.mj
-        self._root = scene.add_frame(f"/{name}", show_axes=False)
+        self.root = scene.add_frame(f"/{name}", show_axes=False)
         self._parents = np.array(model.body_parentid)
         paths = {0: f"/{name}"}
         self._frames: list[FrameHandle] = []
@@ -40,23 +40,9 @@ class Figure:
             paths[number] = f"{paths[int(self._parents[number])]}/{model.body(number).name}"
             self._frames.append(scene.add_frame(paths[number], show_axes=False))
             for place, mesh in enumerate(shapes.of_body(model, number)):
-                scene.add_mesh_simple(
-                    f"{paths[number]}/mesh{place}",
-                    mesh.vertices.astype(np.float32),
-                    mesh.faces,
-                    color=color or mesh.color,
-                    opacity=opacity,
-                    flat_shading=True,
-                    cast_shadow=color is None,
-                    receive_shadow=False,
-                )
+                _add(scene, f"{paths[number]}/mesh{place}", mesh, color, opacity)
         self._positions = np.full((model.nbody - 1, 3), np.nan)
         self._orientations = np.full((model.nbody - 1, 4), np.nan)
-
-    def show(self, visible: bool) -> None:
-        """Set the visibility."""
-        if self._root.visible != visible:
-            self._root.visible = visible
 
     def draw(self, body: Body) -> None:
         """Move the frames to a posture."""
@@ -134,10 +120,12 @@ def moving(model: mujoco.MjModel) -> list[int]:
     return [int(body) for body in np.flatnonzero(model.body_weldid)]
 
 
-def _add(scene: SceneApi, name: str, mesh: shapes.Mesh) -> None:
+def _add(
+    scene: SceneApi, name: str, mesh: shapes.Mesh, color: Color | None = None, opacity: float | None = None
+) -> None:
     scene.add_mesh_simple(
-        name, mesh.vertices.astype(np.float32), mesh.faces, color=mesh.color, flat_shading=True,
-        cast_shadow=False, receive_shadow=False,
+        name, mesh.vertices.astype(np.float32), mesh.faces, color=color or mesh.color, opacity=opacity,
+        flat_shading=True, cast_shadow=False, receive_shadow=False,
     )  # fmt: skip
 
 
@@ -161,11 +149,10 @@ class Scene:
         self._surroundings = None if world is None else _surroundings(scene, world, model.robot)
         self._robot = Figure(scene, "robot", self.body)
         self._ghosts = {
-            "wanted": Figure(scene, "wanted", self.body, color=WANTED, opacity=0.45),
-            "refused": Figure(scene, "refused", self.body, color=REFUSED, opacity=0.45),
+            False: Figure(scene, "wanted", self.body, color=WANTED, opacity=0.45),
+            True: Figure(scene, "refused", self.body, color=REFUSED, opacity=0.45),
         }
-        for ghost in self._ghosts.values():
-            ghost.show(False)
+        self.preview({}, False)
         self._overlays = Overlays(scene, self.body)
         self._plan = Footprints(scene, "plan", self.body, 0.8)
         self.preview_steps = Footprints(scene, "preview", self.body, 0.35)
@@ -186,7 +173,7 @@ class Scene:
             body.place(heard.pelvis.position, heard.pelvis.orientation)
             body.update()
             self._robot.draw(body)
-        self._robot.show(bool(heard.joints))
+        self._robot.root.visible = bool(heard.joints)
         if self._surroundings is not None:
             self._surroundings.turn(heard.fixtures)
         self._frame += 1
@@ -196,13 +183,13 @@ class Scene:
 
     def preview(self, joints: Mapping[str, float], refused: bool) -> None:
         """Show joint positions [rad], or hide the preview without any."""
-        self._ghosts["wanted"].show(bool(joints) and not refused)
-        self._ghosts["refused"].show(bool(joints) and refused)
-        if joints:
-            self.wanted.like(self.body)
-            self.wanted.bend(joints)
-            self.wanted.update()
-            self._ghosts["refused" if refused else "wanted"].draw(self.wanted)
+        self.wanted.like(self.body)
+        self.wanted.bend(joints)
+        self.wanted.update()
+        for bad, ghost in self._ghosts.items():
+            ghost.root.visible = bool(joints) and bad is refused
+            if ghost.root.visible:
+                ghost.draw(self.wanted)
 
 
 def _surroundings(scene: SceneApi, world: World, robot: RobotDescription) -> Surroundings | None:

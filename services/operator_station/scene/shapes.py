@@ -36,7 +36,7 @@ def of_world(model: mujoco.MjModel) -> list[Mesh]:
     mujoco.mj_kinematics(model, data)
     parts = []
     for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] == 0).tolist():
-        if (made := _shape(model, geom)) is not None and model.geom_type[geom] != _GEOM.mjGEOM_PLANE:
+        if (made := _shape(model, geom)) is not None:
             vertices, faces = made
             turn = data.geom_xmat[geom].reshape(3, 3)
             parts.append((vertices @ turn.T + data.geom_xpos[geom], faces, _color(model, geom)))
@@ -48,7 +48,7 @@ Part = tuple[FloatArray, FloatArray, tuple[int, int, int]]
 
 def _geoms(model: mujoco.MjModel, geoms: Iterable[int]) -> Iterator[Part]:
     for geom in geoms:
-        if model.geom_group[geom] > 2 or _alpha(model, geom) == 0.0:  # as MuJoCo's own viewer hides them
+        if model.geom_group[geom] > 2 or _rgba(model, geom)[3] == 0.0:  # as MuJoCo's own viewer hides them
             continue
         if (made := _shape(model, geom)) is not None:
             vertices, faces = made
@@ -103,10 +103,6 @@ def _rgba(model: mujoco.MjModel, geom: int) -> FloatArray:
     material = int(model.geom_matid[geom])
     rgba: FloatArray = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
     return rgba
-
-
-def _alpha(model: mujoco.MjModel, geom: int) -> float:
-    return float(_rgba(model, geom)[3])
 
 
 def _color(model: mujoco.MjModel, geom: int) -> tuple[int, int, int]:

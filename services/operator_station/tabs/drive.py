@@ -4,40 +4,19 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from viser import GuiApi
 from viser._messages import RunJavascriptMessage
 
 from valor.common.behaviors import STEPPING_MODES, WALKING_MODES, ControlMode
 from valor.common.errors import RefusalError, ValorError
 from valor.operator_station.commands.log import Command
 from valor.operator_station.commands.queue import MOTION, UserEvent
-from valor.operator_station.robot.modes import Mode, Modes
+from valor.operator_station.robot.modes import Modes
 from valor.operator_station.scene.footfalls import StepPreview, floor_point, sole_poses, walk_to
 from valor.operator_station.tabs import Approval, StationContext, bounded, vector
-
-
-class ModeButtons:
-    """Buttons by mode, disabled until ``show``."""
-
-    def __init__(self, gui: GuiApi, modes: Modes, pressed: Callable[[str], Any]) -> None:
-        """``pressed`` returns the action of a mode's button."""
-        self._modes = modes
-        self.buttons = {name: gui.add_button(name, disabled=True) for name in modes.names}
-        for name, button in self.buttons.items():
-            button.on_click(pressed(name))
-
-    def show(self, mode: Mode, behavior: str) -> None:
-        """Enable the modes that are available, and label others with the reason."""
-        for name, button in self.buttons.items():
-            why = self._modes.why_not(name, mode, behavior)
-            label = f"{name}  ✓" if name == mode.current else f"{name} – {why}" if why else name
-            if (button.label, button.disabled) != (label, bool(why)):
-                button.label, button.disabled = label, bool(why)
-
 
 HELD = 0.3  # timeout of a held button [s]
 
@@ -105,14 +84,16 @@ class Drive:
         self._going: Command | None = None  # approved plan
         gui = client.gui
         with gui.add_folder("Control mode"):
-            self._buttons = ModeButtons(gui, modes, lambda name: desk.taking(self._changing(name)))
+            self._buttons = {name: gui.add_button(name, disabled=True) for name in modes.names}
+            for name, mode in self._buttons.items():
+                mode.on_click(desk.taking(partial(self._change, name)))
         with gui.add_folder("Walking pad (hold)"):
             self._about_pad = gui.add_markdown("")
             speed = gui.add_slider("speed", SLOWEST, 1.0, 0.1, self.pad.speed)
             speed.on_update(desk.taking(lambda visit: self._set_speed(speed.value)))
             buttons = {direction: gui.add_button(direction, visible=False) for direction in DIRECTIONS}
             for direction, button in buttons.items():
-                button.on_hold(desk.taking(self._holding(direction)), callback_hz=10.0)
+                button.on_hold(desk.taking(partial(self._hold, direction)), callback_hz=10.0)
         self._pad_ids = {direction: button._impl.uuid for direction, button in buttons.items()}  # for keys.js
         self._pad_shown = False
         with gui.add_folder("Walk to a place") as folder:
@@ -138,12 +119,16 @@ class Drive:
     def draw(self) -> None:
         """Show available modes and the progress of the plan."""
         self._show_pad(self._heard.mode.current in WALKING_MODES)
-        if self._going and self._told.content != (line := self._going.line()):
-            self._told.content = line
-        mode = self._heard.mode
-        self._buttons.show(mode, self._heard.states.get("behavior", ""))
-        if self._about_pad.content != (text := self._pad_text()):
-            self._about_pad.content = text
+        if self._going:
+            self._told.content = self._going.line()
+        for name, button in self._buttons.items():
+            why = self._why_not(name)
+            current = name == self._heard.mode.current
+            button.label, button.disabled = f"{name}  ✓" if current else f"{name} – {why}" if why else name, bool(why)
+        self._about_pad.content = self._pad_text()
+
+    def _why_not(self, name: str) -> str:
+        return self._modes.why_not(name, self._heard.mode, self._heard.states.get("behavior", ""))
 
     def _pad_text(self) -> str:
         """Why the pad is disabled; with a link, the age of the last received velocity."""
@@ -165,31 +150,25 @@ class Drive:
             self._commander.velocity(*velocity)
             self._sent = now
 
-    def _changing(self, name: str) -> Any:
-        def change(visit: UserEvent) -> None:
-            command = self._desk.command(visit, f"control mode {name}")
-            if why := self._modes.why_not(name, self._heard.mode, self._heard.states.get("behavior", "")):
-                command.state, command.answer = "refused", why
-                raise RefusalError("mode", command.line())
-            self._commander.change_mode(name, command)
-
-        return change
+    def _change(self, name: str, visit: UserEvent) -> None:
+        command = self._desk.command(visit, f"control mode {name}")
+        if why := self._why_not(name):
+            command.state, command.answer = "refused", why
+            raise RefusalError("mode", command.line())
+        self._commander.change_mode(name, command)
 
     def _set_speed(self, speed: Any) -> None:
         self.pad.speed = bounded(speed, SLOWEST, 1.0)
 
-    def _holding(self, direction: str) -> Any:
-        def hold(visit: UserEvent) -> None:
-            if self._heard.mode.current not in WALKING_MODES:
-                raise RefusalError("mode", f"velocities are followed in {' and '.join(sorted(WALKING_MODES))}")
-            if visit.age > MOTION:
-                self.pad.release()
-                raise RefusalError("age", f"{direction} came too late: made up to {visit.age:.1f} s ago")
-            if self.pad.hold(direction, time.monotonic()):
-                command = self._desk.command(visit, f"walk {direction}, as long as it is held", MOTION)
-                command.state = "acknowledged"
-
-        return hold
+    def _hold(self, direction: str, visit: UserEvent) -> None:
+        if self._heard.mode.current not in WALKING_MODES:
+            raise RefusalError("mode", f"velocities are followed in {' and '.join(sorted(WALKING_MODES))}")
+        if visit.age > MOTION:
+            self.pad.release()
+            raise RefusalError("age", f"{direction} came too late: made up to {visit.age:.1f} s ago")
+        if self.pad.hold(direction, time.monotonic()):
+            command = self._desk.command(visit, f"walk {direction}, as long as it is held", MOTION)
+            command.state = "acknowledged"
 
     def _clicked(self, visit: UserEvent) -> None:
         if not self._armed.value:

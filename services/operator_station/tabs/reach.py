@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import mujoco
@@ -64,7 +65,7 @@ class Reach:
         for name, sides in presets.items():
             for side, goal in sides.items():
                 button = self._client.gui.add_button(f"{side} {limb}: {name}")
-                button.on_click(self._desk.taking(self._choosing(f"{side}_{limb}", name, goal)))
+                button.on_click(self._desk.taking(partial(self._choose, f"{side}_{limb}", name, goal)))
 
     def _add_neck(self) -> None:
         gui, names = self._client.gui, self._robot.tables.group("neck")
@@ -77,7 +78,7 @@ class Reach:
 
             def look(visit: UserEvent) -> None:
                 goal = {name: bounded(s.value, s.min, s.max) for name, s in zip(names, sliders, strict=True)}
-                self._choose("neck", "as the sliders say", goal)
+                self._choose("neck", "as the sliders say", goal, visit)
 
             gui.add_button("Preview the neck").on_click(self._desk.taking(look))
 
@@ -117,10 +118,7 @@ class Reach:
     def _release(self, visit: UserEvent, side: Side) -> None:
         self._commander.release_hand(side, self._desk.command(visit, f"let the {side} hand go"))
 
-    def _choosing(self, group: str, name: str, preset: Mapping[str, float]) -> Callable[[UserEvent], None]:
-        return lambda visit: self._choose(group, name, preset)
-
-    def _choose(self, group: str, name: str, preset: Mapping[str, float]) -> None:
+    def _choose(self, group: str, name: str, preset: Mapping[str, float], visit: UserEvent) -> None:
         body = self._scene.body
         now = {joint: float(body.joints[self._robot.index[joint]]) for joint in self._robot.tables.group(group)}
         goal = now | dict(preset)  # the controller needs all joints

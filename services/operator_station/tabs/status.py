@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import html
 import io
 import logging
 import time
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from html import escape
 
 import numpy as np
 from PIL import Image, UnidentifiedImageError
-from viser import ClientHandle, GuiImageHandle, GuiInputHandle, ViserServer
+from viser import ClientHandle, GuiImageHandle, GuiInputHandle, GuiTabHandle, ViserServer
 
 from valor.operator_station.commands.log import CommandLog
 from valor.operator_station.commands.queue import CommandQueue, UserEvent
@@ -35,24 +35,17 @@ class StatusPanel:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.main_panel.dock_right()
         robot = gui.add_panel(order=-1.0)  # separate, so that the state does not scroll
-        with robot.add_tab("Robot"):
-            self._state = gui.add_html("")
-            self._news = gui.add_html("")
+        with robot.add_tab("Robot") as self.tab:
+            self._state = gui.add_html("", order=0.0)
+            self._news = gui.add_html("", order=20.0)
         robot.dock_left()
         robot.set_width(WIDTH)
+        robot.expand()  # on a phone, too
         self._who, self._commands = who, commands
-        self._shown: dict[int, str] = {}
 
     def draw(self, heard: RobotSnapshot, now: float) -> None:
         """Update; ``now`` is monotonic [s]."""
-        self._put(self._state, self._markup(heard, now))
-        self._put(self._news, _news(heard, self._commands))
-
-    def _put(self, handle: Any, content: str) -> None:
-        """Send changed content only."""
-        if self._shown.get(id(handle)) != content:
-            self._shown[id(handle)] = content
-            handle.content = content
+        self._state.content, self._news.content = self._markup(heard, now), _news(heard, self._commands)
 
     def _markup(self, heard: RobotSnapshot, now: float) -> str:
         ages, states = heard.ages, heard.states
@@ -60,14 +53,14 @@ class StatusPanel:
         level, status = heard.status
         mode_color = GREY if ages.old("mode", now) else BLACK
         lines = [
-            f'<b style="font-size:17px;color:{mode_color}">{_text(heard.mode.current or "control mode not known")}</b> '
-            f'<span style="color:{_LEVELS[min(level, 3)]}">{_text(status)}</span>',
+            f'<b style="font-size:17px;color:{mode_color}">{escape(heard.mode.current) or "mode not known"}</b> '
+            f'<span style="color:{_LEVELS[min(level, 3)]}">{escape(status)}</span>',
             _colored(
-                " · ".join(f"{name} <b>{_text(states.get(name, '?'))}</b>" for name in
+                " · ".join(f"{name} <b>{escape(states.get(name, '?'))}</b>" for name in
                            ("behavior", "locomotion", "manipulation", "attention")),
                 ages.old("motion", now),
             ),
-            f"<b>{_text(self._who())}</b>",
+            f"<b>{escape(self._who())}</b>",
             " · ".join(
                 _colored(f"{label} {ages.text(name, now)}", ages.old(name, now))
                 for name, label in SHOWN.items()
@@ -75,9 +68,9 @@ class StatusPanel:
             ),
         ]  # fmt: skip
         if heard.link is not None:
-            lines += [_colored(_text(line), ages.age("link", now) > LINK_OLD) for line in heard.link.lines()]
+            lines += [_colored(escape(line), ages.age("link", now) > LINK_OLD) for line in heard.link.lines()]
         if hands := _hands(heard):
-            lines.append(_text(hands))
+            lines.append(escape(hands))
         rows = "".join(f"<div>{line}</div>" for line in lines)
         return f'<div id="state" style="font:13px/1.45 system-ui;padding:4px 8px">{rows}</div>'
 
@@ -97,7 +90,7 @@ def _news(heard: RobotSnapshot, log: CommandLog) -> str:
     parts = (("Commands", "commands", commands), ("Refusals and changes", "news", told))
     return "".join(
         f'<div id="{name}" style="font:12px/1.4 system-ui;padding:4px 8px"><b>{title}</b>'
-        + "".join(f"<div>{_text(line)}</div>" for line in lines or ["none"])
+        + "".join(f"<div>{escape(line)}</div>" for line in lines or ["none"])
         + "</div>"
         for title, name, lines in parts
     )
@@ -105,10 +98,6 @@ def _news(heard: RobotSnapshot, log: CommandLog) -> str:
 
 def _colored(text: str, old: bool) -> str:
     return f'<span style="color:{GREY if old else BLACK}">{text}</span>'
-
-
-def _text(text: str) -> str:
-    return html.escape(text)
 
 
 FAR = 0.05  # distance after which the cameras follow [m]
@@ -129,12 +118,13 @@ class Viewers:
         with gui.add_folder("Operator", order=-10.0, expand_by_default=True):
             name = gui.add_text("name", f"viewer {client.client_id}")
             token = gui.add_text("token", "", hint="in the file operator.token of the instance's folder")
-            buttons: tuple[tuple[str, Callable[[UserEvent], None]], ...] = (
-                ("Take control", lambda visit: desk.claim(visit, str(name.value), str(token.value), over=False)),
-                ("Take over", lambda visit: desk.claim(visit, str(name.value), str(token.value), over=True)),
-                ("Give back", desk.release),
-            )
-            for label, act in buttons:
+
+            def claim(visit: UserEvent, *, over: bool) -> None:
+                desk.claim(visit, str(name.value), str(token.value), over=over)
+                token.value = ""  # type: ignore[misc]  # it has a setter
+
+            for label, act in (("Take control", partial(claim, over=False)), ("Take over", partial(claim, over=True)),
+                               ("Give back", desk.release)):  # fmt: skip
                 gui.add_button(label).on_click(desk.taking(act, anyone=True))
 
     def departed(self, client: ClientHandle) -> None:
@@ -164,11 +154,10 @@ _log = logging.getLogger("operator_station")
 class View:
     """Latest picture of the robot, with its age."""
 
-    def __init__(self, server: ViserServer, linked: bool) -> None:
+    def __init__(self, server: ViserServer, tab: GuiTabHandle, linked: bool) -> None:
         self._gui = server.gui
-        self._said = NONE_THROUGH_LINK if linked else NONE
-        with self._gui.add_folder("View", order=10.0) as self._folder:
-            self._text = self._gui.add_markdown(self._said)
+        with tab, self._gui.add_folder("View", order=10.0) as self._folder:
+            self._text = self._gui.add_markdown(NONE_THROUGH_LINK if linked else NONE)
         self._image: GuiImageHandle | None = None
         self._shown: bytes = b""
 
@@ -177,9 +166,8 @@ class View:
         if heard.picture and heard.picture is not self._shown:
             self._shown = heard.picture
             self._show(heard.picture)
-        if self._image is not None and (said := f"The picture is {heard.ages.text('picture', now)}.") != self._said:
-            self._said = said
-            self._text.content = said
+        if self._image is not None:
+            self._text.content = f"The picture is {heard.ages.text('picture', now)}."
 
     def _show(self, picture: bytes) -> None:
         try:

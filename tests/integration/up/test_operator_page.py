@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,18 +17,19 @@ import bifrost
 from harness.system import System
 from harness.waiting import wait_until
 from tests.integration.held_line import HeldLine
-from tests.integration.operator_page import PATIENCE, Page, StopPage
+from tests.integration.operator_page import PATIENCE, Page
 from valor.common.behaviors import Behavior
 from valor.common.instance import Instance
 from valor.common.messages import MotionState, Proprioceptor
-from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
-from valor.common.viewing import page_port, scene_port
+from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR, VELOCITY
+from valor.common.viewing import page_port
 from valor.operator_station.scene.body import Body
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 
 pytestmark = pytest.mark.timeout(1800)
 LATE = 3.0  # longer than a command may take to come [s]
+QUIET = 0.5  # longer than the time between velocities of a held button [s]
 
 
 class Robot:
@@ -41,6 +43,8 @@ class Robot:
         self._node = bifrost.Node("beside_the_page", network=network)
         self._states = MOTION_STATE.subscriber(self._node, queue=20000)
         self._senses = PROPRIOCEPTOR.subscriber(self._node)
+        self._velocities = VELOCITY.subscriber(self._node, queue=20000)
+        self._told: tuple[int, list[float]] = 0, []  # last velocity: time of arrival [ns], signs
         self._truth = GROUND_TRUTH.subscriber(self._node)
         self._body = Body(full_model(self.description))
 
@@ -59,6 +63,18 @@ class Robot:
         """(3,) of the pelvis in truth [m]."""
         truth = wait_until(lambda: self._truth.receive(timeout=1.0), PATIENCE, "truth").message
         return truth.pelvis_position_in_world
+
+    def velocity(self, *signs: int) -> None:
+        """Wait until it is told to walk so: forward, left, turning left; or to stand, and then nothing else."""
+
+        def told() -> bool:
+            for received in self._velocities.drain():
+                command = received.message
+                self._told = received.arrived, np.sign((command.linear_x, command.linear_y, command.angular_z)).tolist()
+            arrived, last = self._told
+            return last == list(signs) and (any(signs) or time.monotonic() - 1e-9 * arrived > QUIET)
+
+        wait_until(told, PATIENCE, f"velocities {signs}")
 
     def joint(self, name: str) -> float:
         return float(self._sensed().joint_position[self.description.index[name]])
@@ -92,7 +108,7 @@ def robot(browser: Any, system: System) -> Iterator[Robot]:
 
 @pytest.fixture(scope="module")
 def line(robot: Robot) -> Iterator[HeldLine]:
-    with HeldLine(scene_port(robot.instance.settings())) as line:
+    with HeldLine(page_port(robot.instance.settings())) as line:
         yield line
 
 
@@ -105,7 +121,8 @@ def page(browser: Any, line: HeldLine, robot: Robot) -> Page:
 
 
 def test_the_page_fetches_nothing_from_other_computers(page: Page) -> None:
-    assert all("//127.0.0.1:" in url or url.startswith(("data:", "blob:")) for url in page.requests), page.requests
+    own = re.compile(r"http://(127\.0\.0\.1|localhost):|data:|blob:")
+    assert all(own.match(url) for url in page.requests), page.requests
 
 
 def test_the_robot_stands_up(page: Page, robot: Robot) -> None:
@@ -117,10 +134,10 @@ def test_the_robot_stands_up(page: Page, robot: Robot) -> None:
 
 
 def test_it_shows_what_the_robot_sees(page: Page) -> None:
-    said = page.page.get_by_text("The picture is fresh.")
+    said = page.view.get_by_text("The picture is fresh.")
     said.wait_for()
     wide = "() => [...document.images].some((one) => one.naturalWidth === 640 && one.getClientRects().length)"
-    page.page.wait_for_function(wide)
+    page.view.wait_for_function(wide)
 
 
 def test_a_mode_is_changed_and_those_that_cannot_follow_say_why(page: Page, robot: Robot) -> None:
@@ -143,7 +160,7 @@ def test_an_arm_goes_where_its_ghost_was_when_it_is_approved(page: Page, robot: 
     page.tab("Arms")
     before = robot.joint(name)
     page.press("left arm: forward")
-    page.page.get_by_text("nothing speaks against it").wait_for()
+    page.view.get_by_text("nothing speaks against it").wait_for()
     assert abs(robot.joint(name) - before) < 0.05, "nothing moves before it is approved"
     page.command("Approve and execute", "left arm forward", "arrived")
     assert abs(robot.joint(name) - wanted) < 0.05
@@ -153,14 +170,14 @@ def test_a_hand_is_dragged_shown_approved_and_led_there(page: Page, robot: Robot
     before = robot.left_hand()
     page.show_goal("left")
     page.drag("left", *before, 0.3)
-    page.page.get_by_text("would be refused: reach: the left hand would stay").wait_for()
+    page.view.get_by_text("would be refused: reach: the left hand would stay").wait_for()
     assert page.button("Approve and execute").is_disabled()
     page.press("Forget it")
-    page.page.get_by_text("nothing is previewed").wait_for()
+    page.view.get_by_text("nothing is previewed").wait_for()
     page.show_goal("left", shown=False)
     page.show_goal("left")
     goal = np.array([float(each) for each in re.findall(r"-?\d+\.\d+", page.drag("left", *before, -0.06))])
-    page.page.get_by_text("nothing speaks against it").wait_for()
+    page.view.get_by_text("nothing speaks against it").wait_for()
     assert np.linalg.norm(robot.left_hand()[0] - before[0]) < 0.02, "nothing moves before it is approved"
     assert np.linalg.norm(goal - before[0]) > 0.02
     page.command("Approve and execute", "left hand to (", "handed over")
@@ -172,11 +189,11 @@ def test_a_hand_is_dragged_shown_approved_and_led_there(page: Page, robot: Robot
 def test_a_click_on_the_floor_is_walked_when_it_is_approved(page: Page, robot: Robot) -> None:
     page.tab("Drive")
     page.command("stand", "control mode stand:", "done")
-    page.page.get_by_text("click on the floor to plan").click()
+    page.view.get_by_text("click on the floor to plan").click()
     before, pelvis = robot.place(), robot.state().pelvis_position_in_odom[:2]
     target = pelvis + np.array((-0.2, 0.6))  # away from the stairs
     page.page.mouse.click(*page.at((*target, 0.0)))
-    text = page.page.get_by_text("steps to (").inner_text()
+    text = page.view.get_by_text("steps to (").inner_text()
     goal = np.array([float(each) for each in re.findall(r"-?\d+\.\d+", text)][:2])
     assert np.linalg.norm(robot.place() - before) < 0.05, "nothing moves before it is approved"
     page.command("Walk there", "steps:", "all steps taken")
@@ -200,7 +217,7 @@ def test_what_was_pressed_during_a_cut_is_late_and_moves_nothing(page: Page, lin
 def test_after_a_reload_the_same_browser_operates(page: Page, robot: Robot) -> None:
     robot.behaviors()
     page.page.reload()
-    page.page.locator("#state").wait_for()
+    page.arrive()
     page.wait("state", lambda text: "Ann operates" in text and "gone" not in text, "the operator is back")
     page.command("stand_manipulate", "control mode stand_manipulate", "done")
     assert robot.behaviors() <= {Behavior.STAND, Behavior.STAND_MANIPULATE}
@@ -216,12 +233,33 @@ def test_the_page_recovers_from_a_killed_vrc_by_itself(page: Page, robot: Robot)
     page.command("stand", "control mode stand:", "done")
 
 
+@pytest.mark.parametrize("focus", ["page", "view"])
+def test_the_walking_pad_is_held_by_its_keys_wherever_the_focus_is(page: Page, robot: Robot, focus: str) -> None:
+    page.command("walk", "control mode walk:", "done")
+    beside_stop, in_view, still = (700.0, 20.0), (550.0, 300.0), (0, 0, 0)
+    here, there = (beside_stop, in_view) if focus == "page" else (in_view, beside_stop)
+    page.page.mouse.click(*here)
+    assert page.view.evaluate("document.hasFocus()") is (focus == "view")
+    keys = {"ArrowUp": (1, 0, 0), "KeyS": (-1, 0, 0), "ArrowLeft": (0, 0, 1), "KeyE": (0, 0, -1), "KeyA": (0, 1, 0),
+            "KeyD": (0, -1, 0)}  # fmt: skip
+    for key, signs in keys.items():
+        page.page.keyboard.down(key)
+        robot.velocity(*signs)
+        page.page.keyboard.up(key)
+        robot.velocity(*still)
+    page.page.keyboard.down("KeyW")
+    robot.velocity(1, 0, 0)
+    page.page.mouse.click(*there)  # it loses the focus
+    robot.velocity(*still)
+    page.page.keyboard.up("KeyW")
+    page.command("stand", "control mode stand:", "done")
+
+
 def test_the_stop_stops_a_robot_that_walks(page: Page, robot: Robot) -> None:
     page.command("walk", "control mode walk:", "done")
     robot.behaviors()
-    stop = StopPage(page.context, page_port(robot.instance.settings()))
-    stop.press()
-    stop.sees("confirmed: stopped after")
+    page.stop()
+    page.said("confirmed: stopped after")
     page.sees("state", "behavior soft_stop")
     assert robot.state().behavior == Behavior.SOFT_STOP
     page.command("stand", "control mode stand:", "done")

@@ -67,7 +67,7 @@ def test_the_page_says_what_a_lost_operator_means_and_what_became_of_commands() 
 def test_a_picture_is_shown_with_the_age_that_the_link_tells() -> None:
     server = ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
-        view, intake = View(server, linked=True), Intake(linked=True)
+        view, intake = View(server, server.gui.add_panel().add_tab("Robot"), linked=True), Intake(linked=True)
         view.draw(intake.heard, 0.0)
         assert view._text.content == NONE_THROUGH_LINK and view._image is None
         say(intake, PICTURE, CompressedImage(format="jpeg", data=b"no picture at all"), 0.0)
