@@ -51,7 +51,7 @@ class JointReference:
         self._extrapolate = Kernel("setpoints", _extrapolate, (followed, self._now), (self._target, self._fresh))
         self._targets = tuple(self._target)
         self._target_acceleration = np.zeros(n)
-        self._mismatch = np.zeros(n)
+        self._mismatch, self._fed_mismatch = np.zeros((2, n))  # of set-points, and of what is fed forward of them
         # Joints whose velocity does not follow their acceleration, which is then not fed forward.
         self.inconsistent: Joints = np.zeros(n, dtype=bool)
         self._move: PostureMove | None = None
@@ -146,9 +146,13 @@ class JointReference:
                 self._move = None
         before = self._limiter.velocity
         self._limiter.advance(target, velocity, dt)
-        self._mismatch *= max(0.0, 1.0 - dt / MISMATCH_TIME)
-        self._mismatch += self._limiter.velocity - before - acceleration * dt
-        self.inconsistent = self._mismatch * np.sign(acceleration) < -MISMATCH
+        kept, change = max(0.0, 1.0 - dt / MISMATCH_TIME), self._limiter.velocity - before - acceleration * dt
+        # The limit leaves no more for accelerations of the other sign.
+        self._mismatch = np.clip(kept * self._mismatch + change, -1.05 * MISMATCH, 1.05 * MISMATCH)
+        self._fed_mismatch *= kept
+        fed = np.minimum(self._mismatch * np.sign(acceleration), (self._fed_mismatch + change) * np.sign(acceleration))
+        self.inconsistent = fed < -MISMATCH
+        self._fed_mismatch += np.where(self.inconsistent, 0.0, change)
         self._target_acceleration = np.where(self.inconsistent, 0.0, acceleration)
 
     def _come_to_rest(self, target: FloatArray) -> None:
