@@ -107,8 +107,7 @@ class GoalControlledArm:
         """Set the target's pose in pelvis, and its twists (6,): by the pelvis, and of a stream."""
         k, goal = self.kinematics, self.goal
         assert goal is not None
-        place, turn, twist = self.stream.at(goal, now)
-        carried = self.standing
+        (place, turn, twist), carried = self.stream.at(goal, now), self.standing
         if goal.in_odom:
             twist = (twist.reshape(2, 3) @ state.pelvis_rotation_in_odom).ravel()
             place, turn, carried = seen_from_pelvis(place, turn, state)
