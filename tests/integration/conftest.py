@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from harness.instance import RunningInstance, fresh_instance
-from tests.integration.operator_page import chromium
+from harness.operator_page import chromium
 
 
 @pytest.fixture(scope="module")

@@ -22,10 +22,10 @@ from vigir_footstep_planning_msgs.msg import Step
 
 from harness.emulated_channel import DRC_FAST, DRC_SLOW, random_windows
 from harness.link_emulator import Emulator
+from harness.operator_page import PATIENCE, Page
 from harness.places import ROBOTS
 from harness.system import RosClient, System, running
 from harness.waiting import wait_until
-from tests.integration.operator_page import PATIENCE, Page
 from valor.common.instance import Instance, Settings
 from valor.common.linking import robot_ports
 from valor.common.messages import ModeStatus

@@ -19,8 +19,8 @@ from viser import _messages
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from harness.instance import RunningInstance
+from harness.raw_viewer import RawViewer
 from harness.waiting import wait_until
-from tests.integration.raw_viewer import RawViewer
 from valor.common.arrays import FloatArray
 from valor.common.topics import MOTION_STATE, VELOCITY
 from valor.common.viewing import page_port, scene_port

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 import bifrost
+from harness.operator_page import PATIENCE, Page
 from harness.system import System
 from harness.waiting import wait_until
 from tests.integration.held_line import HeldLine
-from tests.integration.operator_page import PATIENCE, Page
 from valor.common.behaviors import Behavior
 from valor.common.instance import Instance
 from valor.common.messages import MotionState, Proprioceptor

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 import bifrost
+from harness.operator_page import PATIENCE, Page
 from harness.system import System
 from harness.waiting import wait_until
 from tests.integration.held_line import HeldLine
-from tests.integration.operator_page import PATIENCE, Page
 from valor.common.instance import Instance
 from valor.common.topics import MOTION_STATE
 from valor.common.viewing import page_port
