@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from tests.unit.test_vrc_who_has_the_arm import AT_ONCE, Arms
 from valor.common.instance import Settings
 from valor.ros.node import RosSide
 from valor.valor_ros_controller.ros.controller_bypass import MAX_PER_CYCLE, ControllerBypass
+from valor.valor_ros_controller.ros.node import CommandNode
 
 
 class Hand(Arms):
@@ -35,7 +37,7 @@ class Hand(Arms):
         goal = PoseStamped()
         goal.header.frame_id = "base_link"
         goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = (0.4, -0.3, 0.25)
-        self._goals.callback(goal)
+        self._goals.callback(goal, {})
 
     def stop(self) -> None:
         """Mode stop, and what it leads to."""
@@ -50,7 +52,7 @@ class Hand(Arms):
 @pytest.fixture
 def hand(instance: RunningInstance) -> Iterator[Hand]:
     settings = Settings(robot=Path("escher"), ros_domain_id=instance.settings.ros_domain_id)
-    side = RosSide("somebody", settings, {}, ())
+    side = RosSide("somebody", settings, {}, (), node=partial(CommandNode, others=False))
     yield Hand(side)
     side.close()
 

@@ -105,7 +105,12 @@ def test_cmd_vel_walks_in_mode_walk_and_nowhere_else(ros: RosClient, node: bifro
         assert not walked(0.1)
         return bool(times) and times[-1] - times[0] > 400_000_000
 
+    def rests() -> bool:
+        state = motion.latest()
+        return state is not None and bool(abs(state.message.pelvis_linear_velocity_in_odom[0]) < 0.02)
+
     go(ros, "stand")
+    wait_until(rests, PATIENCE, "the robot at rest", period=0.02)
     wait_until(stood, PATIENCE, "0.4 s of robot time", period=0.02)
     go(ros, "walk")
     wait_until(lambda: walked(0.4), PATIENCE, "walking 0.4 m", period=0.02)
