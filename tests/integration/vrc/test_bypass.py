@@ -203,7 +203,7 @@ def test_soft_stop_and_what_is_said_of_it(ros: RosClient, motion: MotionStates) 
     wait_until(lambda: status.messages[-1].level == DiagnosticStatus.WARN, PATIENCE, "status: WARN")
     state = states.messages[-1]
     assert "soft_stop" in status.messages[-1].message
-    assert state.header.frame_id == "motion_manager" and len(state.joint_setpoint) == len(ROBOT.joints)
+    assert state.header.frame_id == "" and len(state.joint_setpoint) == len(ROBOT.joints)
     assert list(state.contacts) == [1, 1] and state.bifrost_sequence > 0
     go(ros, "stand")
     states.close()
