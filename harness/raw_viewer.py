@@ -40,6 +40,8 @@ class RawViewer:
         return self
 
     def __exit__(self, *exception: object) -> None:
+        if not self._thread.is_alive():  # nobody would receive the other end's farewell
+            self.socket.close_socket()
         self.socket.close()
 
     @property
