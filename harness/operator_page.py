@@ -133,18 +133,18 @@ class Page:
         """Ask for control until the page says ``told``.
 
         A slow browser sends the fields behind the button, and a notification goes by itself, seen or not; then it is
-        asked again, as a person would.
+        asked again, as a person would: the token is cleared after each press.
         """
         boxes = self.view.get_by_role("textbox")
-        for box, words in ((boxes.nth(0), name), (boxes.nth(1), token)):
-            box.fill(words)
-            box.blur()
         said = self.view.get_by_text(told).first
         deadline = time.monotonic() + PATIENCE
         again = 0.0
         while not said.is_visible():
             assert time.monotonic() < deadline, f"{button}: {told}: not within {PATIENCE:g} s; {self.text('state')}"
             if time.monotonic() > again:
+                for box, words in ((boxes.nth(0), name), (boxes.nth(1), token)):
+                    box.fill(words)
+                    box.blur()
                 self.page.wait_for_timeout(500)  # the fields are sent a moment behind the last key
                 self.press(button)
                 again = time.monotonic() + 15.0

@@ -44,14 +44,13 @@ class Stop:
         page.page.evaluate(WATCH)
 
     def result(self) -> str:
-        """What the page says of the stop; it must say so in time."""
-        end = "(each) => /confirmed|NOT/i.test(each[1])"
+        """What the page says after the stop was pressed; it must say so in time."""
+        pressed = "told.findIndex((each) => each[1] === 'pressed')"
+        end = f"(each, at) => {pressed} >= 0 && at > {pressed} && /confirmed|NOT/i.test(each[1])"
         self.page.page.wait_for_function(f"told.some({end})")
-        pressed, said, text = self.page.page.evaluate(
-            f"() => [told.find((each) => each[1] === 'pressed')[0], ...told.find({end})]"
-        )
+        began, said, text = self.page.page.evaluate(f"() => [told[{pressed}][0], ...told.find({end})]")
         self.page.page.evaluate("told.length = 0")
-        assert said - pressed < 1000.0 * LONGEST, text
+        assert said - began < 1000.0 * LONGEST, text
         return str(text)
 
     def behavior(self) -> str:
