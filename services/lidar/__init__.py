@@ -1,1 +1,0 @@
-"""Simulated rolling lidar: scans and clouds on ROS 2 while subscribed."""
