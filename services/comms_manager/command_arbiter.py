@@ -117,8 +117,7 @@ class CommandArbiter:
         The reflex itself is a Soft Stop; for held joints Soft Stop is Freeze. Freeze during a step waits until both
         feet stand.
         """
-        limbs = "limbs are frozen by a Motion Manager only" if request.limbs else ""
-        if reason := limbs or self._rejection(request.behavior):
+        if reason := self._rejection(request.behavior):
             return BehaviorReply(False, self.behavior, reason, Obstacle.CONDITION)
         if request.behavior == FALL:
             self._make_limp(origin)
