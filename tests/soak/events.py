@@ -132,7 +132,7 @@ def _full_disk(rig: Rig, rng: random.Random, process: str) -> list[str]:
     _, hard = recorder.rlimit(psutil.RLIMIT_FSIZE)
     recorder.rlimit(psutil.RLIMIT_FSIZE, (700, hard))
     time.sleep(STARVATION)
-    degraded = rig.system.status()["processes"][process]["state"] != "ready"
+    degraded = any(each["name"] == process and each["state"] == "degraded" for each in rig.system.status()["services"])
     recorder.rlimit(psutil.RLIMIT_FSIZE, (resource.RLIM_INFINITY, hard))
     return [] if degraded else [f"{process} is ready while its disk is full"]
 
