@@ -129,13 +129,17 @@ class LinkOperator:
         waiting, self._waiting = self._waiting, []
         for _, send in sorted(waiting, key=itemgetter(0)):
             send()
-        return WITH_STOP if time.monotonic() - self._stopped_at < STOP_WINDOW else ""
+        return self._stop_beside(time.monotonic())
+
+    def _stop_beside(self, now: float) -> str:
+        """Reason to reject a command that is taken at ``now``, monotonic [s]; empty if no stop is so near."""
+        return WITH_STOP if now - self._stopped_at < STOP_WINDOW else ""
 
     def _send(self, topic: str, kind: MessageClass, content: bytes) -> None:
         now = time.monotonic()
         try:
-            if kind is not MessageClass.STOP and now - self._stopped_at < STOP_WINDOW:
-                raise SealError(WITH_STOP)
+            if kind is not MessageClass.STOP and (reason := self._stop_beside(now)):
+                raise SealError(reason)
             if kind is MessageClass.STREAM:
                 self._end.stream(kind, content, now)
             else:
