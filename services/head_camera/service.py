@@ -6,12 +6,10 @@ import time
 
 import mujoco
 import numpy as np
-from geometry_msgs.msg import TransformStamped
 from PIL import Image as Pillow
-from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage
 from std_msgs.msg import Header
-from tf2_msgs.msg import TFMessage
 
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
@@ -26,6 +24,7 @@ from valor.robot.description import RobotDescription
 from valor.robot.model import robot_spec
 from valor.ros.node import RosSide
 from valor.ros.parameters import Parameters, Range
+from valor.ros.transforms import publish_mount
 from valor.service import Context, quiet_collector
 
 FRAME = "head_camera_optical_frame"
@@ -39,7 +38,6 @@ FOCAL_LENGTH = 0.5 * HEIGHT / math.tan(0.5 * FIELD_OF_VIEW)  # [pixels]
 _FREE = 0.02  # Distance in front of the carrying body [m]
 _NAME = "head_camera"
 _DETAIL = Quality(larger=1.0, shadow=0, slices=12)
-_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class HeadCamera:
@@ -62,8 +60,7 @@ class HeadCamera:
         self._frame = prefix + FRAME
         self._images = node.create_publisher(CompressedImage, "camera/image_raw/compressed", qos_profile_sensor_data)
         self._infos = node.create_publisher(CameraInfo, "camera/camera_info", qos_profile_sensor_data)
-        self._fixed = node.create_publisher(TFMessage, "/tf_static", _LATCHED)
-        self._fixed.publish(TFMessage(transforms=[self._mount(prefix + body_of(robot))]))
+        publish_mount(node, prefix + body_of(robot), self._frame, pose_in_body(robot))
         self._side.life.configure()
 
     def run(self) -> None:
@@ -103,15 +100,6 @@ class HeadCamera:
         Pillow.fromarray(image).save(packed, "JPEG", quality=QUALITY)
         self._infos.publish(_info(header))
         self._images.publish(CompressedImage(header=header, format="jpeg", data=packed.getvalue()))
-
-    def _mount(self, parent: str) -> TransformStamped:
-        place = pose_in_body(self._context.robot)
-        made = TransformStamped(child_frame_id=self._frame)
-        made.header.frame_id = parent
-        translation, rotation = made.transform.translation, made.transform.rotation
-        translation.x, translation.y, translation.z = place.position
-        rotation.w, rotation.x, rotation.y, rotation.z = place.orientation
-        return made
 
 
 def _info(header: Header) -> CameraInfo:

@@ -29,6 +29,8 @@ _PROPERTIES = {
     "Wrench": {"Topic", "Force Color", "Force Arrow Scale", "Torque Arrow Scale", "Arrow Width"},
     "PointStamped": {"Topic", "Color", "Radius"},
     "Odometry": {"Topic", "Keep", "Position Tolerance"},
+    "PointCloud2": {"Topic", "Style", "Size (Pixels)", "Color Transformer", "Axis"},
+    "LaserScan": {"Topic", "Style", "Size (Pixels)", "Color Transformer", "Color"},
 }
 
 

@@ -11,9 +11,11 @@ DAEMON = "bifrostd"
 RECORDER = "bag_recorder"
 FOXGLOVE = "foxglove_bridge"
 HEAD_CAMERA = "head_camera"
+LIDAR = "lidar"
 VIEW = "--view"
 LINK = "--link"
 CAMERA = "--camera"
+SENSORS = {LIDAR: "--sensors lidar"}  # options of simulated sensors by their name
 SUPERVISED = "VALOR_SUPERVISED"  # environment variable of supervisord and all that it starts
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not restart the process
 
@@ -68,6 +70,7 @@ PROCESSES: tuple[Process, ...] = (
     Process("link_robot",           "robot's end of the link to the operator", 25.0, 130.0, option=LINK),
     Process("link_operator",        "operator's end of it, in his ROS domain", 25.0, 130.0, option=LINK),
     Process(HEAD_CAMERA,            "the simulated robot's camera, for ROS 2", 40.0, 250.0, turns="background", option=CAMERA),
+    Process(LIDAR,                  "the simulated robot's rolling lidar, for ROS 2", 20.0, 250.0, turns="background", option=SENSORS[LIDAR]),
     Process(FOXGLOVE,               "ROS topics and a scene, for Foxglove",   20.0,  150.0, turns="background", option="--foxglove"),
 )
 # fmt: on

@@ -109,6 +109,13 @@ class Imu(Table):
     site: str
 
 
+class Lidar(Table):
+    """Rolling lidar; its x axis is the spindle's."""
+
+    body: str  # which the spindle moves
+    position: tuple[float, float, float]  # of the beams' origin in it [m]
+
+
 class SensorNoise(Table):
     """Standard deviations of white noise, and constant biases, of simulated devices."""
 
@@ -170,6 +177,7 @@ class RobotTables(Table, kw_only=True):
     chest: str  # body that pushes act on and whose orientation is controlled
     head: str | None = None
     imu: Imu
+    lidar: Lidar | None = None
     feet: Feet
     hands: Hands = Hands()
     joints: dict[str, Joint]  # in the order of every joint vector

@@ -7,10 +7,12 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.common.poses import Pose
 from valor.common.rotation import Quaternion, Vector
 from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
@@ -18,6 +20,7 @@ from valor.ros.prepared_message import PreparedPublisher, mark, stamp_mark
 
 ODOM = "odom"
 FOOTPRINT = "base_footprint"
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -91,6 +94,12 @@ def _numbers(position: Sequence[float], orientation: Sequence[float]) -> tuple[f
     """Translation x, y, z and rotation x, y, z, w of a position and a quaternion (w, x, y, z)."""
     w, *vector = orientation
     return (*position, *vector, w)
+
+
+def publish_mount(node: Node, parent: str, child: str, pose: Pose) -> None:
+    """Publish the constant pose of a frame in its parent on ``/tf_static``."""
+    message = _transform(parent, child, Time(), _numbers(pose.position, pose.orientation))
+    node.create_publisher(TFMessage, "/tf_static", _LATCHED).publish(TFMessage(transforms=[message]))
 
 
 class TransformPublisher:

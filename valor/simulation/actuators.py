@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
+from valor.devices.dynamixel import Dynamixel
 from valor.robot.description import RobotDescription
 from valor.robot.tables import ActuatorProfile, Gear
 
@@ -75,8 +76,16 @@ class Actuators:
         motor_sequence: of the active Motor; 0 before the first.
     """
 
-    def __init__(self, robot: RobotDescription, profile: ActuatorProfile, step: float) -> None:
+    def __init__(self, robot: RobotDescription, profile: ActuatorProfile, step: float, spins: bool = False) -> None:
+        """``spins``: joints of Dynamixel servos with a permanent speed turn, as on hardware."""
         n = len(robot.joints)
+        buses = [device for device in robot.tables.devices.values() if isinstance(device, Dynamixel)]
+        speeds = {robot.index[each.joint]: each.spin for bus in buses for each in bus.servos if spins and each.spin}
+        self.spinning = np.array([*speeds], dtype=np.intp)  # indices of joints
+        self._advance = np.array([*speeds.values()]) * step
+        self._reach = (robot.effort_limit / robot.servo_stiffness)[self.spinning]  # of the servo's whole effort [rad]
+        self._ahead = np.zeros(self.spinning.size)  # of the joints [rad]
+        self._spun = np.zeros(self.spinning.size)  # positions in the last step [rad]
         self._robot = robot
         self._delay = round(profile.delay / step)
         gears = Gears.of(robot, profile)
@@ -147,6 +156,8 @@ class Actuators:
         self._step += 1
         command, error, wanted = self._command, self._error, self._wanted
         np.subtract(command.position, position, out=error)
+        if self.spinning.size:
+            error[self.spinning] = self._lead(position[self.spinning])
         if self._has_backlash:
             error -= np.clip(error, -self._half_backlash, self._half_backlash)
         np.multiply(command.stiffness, error, out=wanted)
@@ -165,6 +176,13 @@ class Actuators:
         wanted *= self._gain
         self.effort += wanted
         return self.effort
+
+    def _lead(self, position: FloatArray) -> FloatArray:
+        """(k,) angles by which the set-points of spinning joints are ahead of them [rad]."""
+        moved = np.remainder(position - self._spun + math.pi, math.tau) - math.pi
+        self._spun = position
+        self._ahead = np.clip(self._ahead + self._advance - moved, -self._reach, self._reach)
+        return self._ahead
 
     def _send(self, command: JointCommand) -> None:
         self._waiting.append((self._step + self._delay, command))

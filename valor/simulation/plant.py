@@ -34,7 +34,8 @@ def scene(robot: RobotDescription, world: str, seed: int, shapes: Shapes) -> muj
 class Plant:
     """Physics of robot and world, at first in the nominal posture; ``model`` has its own masses and friction."""
 
-    def __init__(self, robot: RobotDescription, world: str, profile: str, seed: int) -> None:
+    def __init__(self, robot: RobotDescription, world: str, profile: str, seed: int, *, spins: bool = False) -> None:
+        """``spins``: see ``Actuators``; the angles of such joints are within ±π."""
         if profile not in robot.tables.actuators:
             known = ", ".join(robot.tables.actuators)
             raise ConfigurationError(f"actuators {profile!r}: expected one of robot.yaml's profiles: {known}")
@@ -57,7 +58,8 @@ class Plant:
         mujoco.mj_setConst(mj, self.data)
         self.data.qpos[:] = self.model.nominal_qpos()
         mujoco.mj_forward(mj, self.data)
-        self.actuators = Actuators(robot, table, mj.opt.timestep)
+        self.actuators = Actuators(robot, table, mj.opt.timestep, spins)
+        self._spinning = [int(mj.joint(robot.joints[i]).qposadr[0]) for i in self.actuators.spinning]
         self._fixtures = worlds.joints(mj)
         self._chest = self._pushed_body = self.model.body(robot.tables.chest)
         self._push_steps = 0
@@ -89,6 +91,8 @@ class Plant:
                 self._push_steps -= 1
                 if not self._push_steps:
                     data.xfrc_applied[self._pushed_body] = 0.0
+        for joint in self._spinning:
+            self._qpos[joint] = math.remainder(self._qpos[joint], math.tau)
         if not np.isfinite(self._qvel.dot(self._qvel)):
             raise SimulationDivergedError(f"the simulation diverged at {data.time:.3f} s")
 

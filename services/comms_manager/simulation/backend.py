@@ -6,6 +6,7 @@ import bifrost
 from valor.common.errors import ConfigurationError
 from valor.common.messages import Proprioceptor, TimeReply, TimeRequest
 from valor.common.pacing import Pacer, WallClock
+from valor.common.processes import LIDAR
 from valor.common.topics import CYCLE, GROUND_TRUTH, PAUSED, SIMULATED_TIME
 from valor.comms_manager.backend import Backend
 from valor.comms_manager.commands import Commands
@@ -82,7 +83,7 @@ class Simulation(Backend):
 
     def __init__(self, context: Context) -> None:
         settings, robot = context.settings, context.robot
-        plant = Plant(robot, settings.world, settings.actuators, settings.seed)
+        plant = Plant(robot, settings.world, settings.actuators, settings.seed, spins=LIDAR in settings.asked)
         if not settings.real_time_factor >= 0.0:
             raise ConfigurationError(f"real_time_factor {settings.real_time_factor:g}: expected 0 or more")
         rate = settings.real_time_factor if settings.clock == "lockstep" else 1.0

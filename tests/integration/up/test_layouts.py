@@ -82,6 +82,7 @@ def test_topics_types_and_frames_of_rvizs_are_there(ros: RosClient) -> None:
     shown = {
         "RobotModel": "std_msgs/msg/String", "Wrench": "geometry_msgs/msg/WrenchStamped",
         "PointStamped": "geometry_msgs/msg/PointStamped", "Odometry": "nav_msgs/msg/Odometry",
+        "PointCloud2": "sensor_msgs/msg/PointCloud2", "LaserScan": "sensor_msgs/msg/LaserScan",
     }  # fmt: skip
     manager = yaml.safe_load(example_file("layouts/valor.rviz").read_text())["Visualization Manager"]
     for display in manager["Displays"]:

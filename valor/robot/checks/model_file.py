@@ -118,6 +118,7 @@ def _unknown_names(robot: RobotDescription, spec: mujoco.MjSpec) -> Iterator[Con
         ("site", ("imu", "site"), tables.imu.site),
     ]
     named += [] if tables.head is None else [("body", ("head",), tables.head)]
+    named += [] if tables.lidar is None else [("body", ("lidar", "body"), tables.lidar.body)]
     for side, foot in (("left", tables.feet.left), ("right", tables.feet.right)):
         named += [("body", ("feet", side, "body"), foot.body), ("site", ("feet", side, "sole"), foot.sole)]
     for side, hand in tables.hands.present():

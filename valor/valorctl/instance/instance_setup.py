@@ -19,7 +19,7 @@ from valor.common import mode_names, topics, whole_file
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
 from valor.common.instance import Bounds, ClockMode, Instance, Link, Recording, RosCommands, Settings, ros_namespace
-from valor.common.processes import BY_NAME, CAMERA, FOXGLOVE, HEAD_CAMERA, LINK, PROCESSES, RECORDER, VIEW
+from valor.common.processes import BY_NAME, FOXGLOVE, HEAD_CAMERA, LIDAR, LINK, PROCESSES, RECORDER, SENSORS, VIEW
 from valor.common.resources import file_of, robot_folder
 from valor.robot.description import RobotDescription
 from valor.simulation.world_names import WORLD_NAMES
@@ -54,6 +54,7 @@ class Request:
     ros_commands: RosCommands = "all"
     foxglove: str | None = None  # [HOST:]PORT; empty: the default
     camera: bool = False  # of the simulated robot
+    sensors: tuple[str, ...] = ()  # others of the simulated robot, in ``SENSORS``
     view: bool = False  # serve the operator's page
     link: Link = field(default_factory=Link)  # without a domain: no link
     ros_domain: int | None = None
@@ -75,6 +76,8 @@ class Plan:
 
 def plan(request: Request) -> Plan:
     """Add the profile's defaults to a request, and verify it; raises ``ConfigurationError``. Writes nothing."""
+    for name in request.sensors:
+        require_one_of("--sensors", name, SENSORS)
     file = file_of("profile", request.profile)
     profile = Profile.load(file)
     defaults = profile.defaults
@@ -88,8 +91,7 @@ def plan(request: Request) -> Plan:
         profile = msgspec.structs.replace(profile, processes=request.deployment.processes)
     listed = profile.processes
     profile = _with_options(profile, request)
-    if HEAD_CAMERA in profile.processes and profile.variant != "simulation":
-        raise ConfigurationError(f"{CAMERA}: profile {request.profile} has no simulated world; expected a real camera")
+    _require_sensors(profile, request, robot)
     # The option has precedence over the profile.
     bounds = recording_options.bounds(defaults.bag_bound, Bounds())
     bounds = recording_options.bounds(request.bag_bound, bounds)
@@ -132,10 +134,10 @@ def _hosts(request: Request, profile: Profile, listed: Collection[str]) -> dict[
         return {}
     if request.link.domain is not None:
         raise ConfigurationError("--link: both ends run on this computer; expected `link:` in --deployment's file")
-    asked = {VIEW: request.view, "--foxglove": request.foxglove is not None, CAMERA: request.camera}
+    asked = _asked(request)
     for host, row in request.deployment.hosts.items():
         for name in row.processes:
-            if host != request.here and asked.get(option := BY_NAME[name].option):
+            if host != request.here and (option := BY_NAME[name].option) in asked:
                 raise ConfigurationError(f"{option}: {name} runs on {host}; expected `up` there, or no option")
     also = [name for name in profile.processes if name not in listed]
     but = [name for name in listed if name not in profile.processes]
@@ -148,11 +150,27 @@ def _hosts(request: Request, profile: Profile, listed: Collection[str]) -> dict[
 
 
 def _with_options(profile: Profile, request: Request) -> Profile:
-    names = [*profile.processes, *([FOXGLOVE] if request.foxglove is not None else [])]
-    asked = {VIEW: request.view, LINK: request.link.domain is not None, CAMERA: request.camera}
-    names += [process.name for process in PROCESSES if asked.get(process.option)]
+    asked = _asked(request)
+    names = [*profile.processes, *(process.name for process in PROCESSES if process.option in asked)]
     chosen = dict.fromkeys(name for name in names if not (request.no_bag and name == RECORDER))
     return msgspec.structs.replace(profile, processes=tuple(chosen))
+
+
+def _asked(request: Request) -> set[str]:
+    """Options of processes."""
+    asked = {VIEW: request.view, LINK: request.link.domain is not None}
+    asked |= {BY_NAME[FOXGLOVE].option: request.foxglove is not None, BY_NAME[HEAD_CAMERA].option: request.camera}
+    return {option for option, present in asked.items() if present} | {SENSORS[name] for name in request.sensors}
+
+
+def _require_sensors(profile: Profile, request: Request, robot: RobotDescription) -> None:
+    """Raise ConfigurationError for a simulated sensor without a simulation, or that the robot lacks."""
+    for name in {HEAD_CAMERA, LIDAR}.intersection(profile.processes):
+        if profile.variant != "simulation":
+            what = f"profile {request.profile} has no simulated world; expected a real sensor"
+            raise ConfigurationError(f"{BY_NAME[name].option}: {what}")
+    if LIDAR in profile.processes and robot.tables.lidar is None:
+        raise ConfigurationError(f"{SENSORS[LIDAR]}: {robot.name} has none; expected `lidar` in its robot.yaml")
 
 
 def _robot_folder(request: Request, default: str, file: Path) -> Path:

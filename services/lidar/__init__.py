@@ -1,0 +1,1 @@
+"""Simulated rolling lidar: scans and clouds on ROS 2 while subscribed."""
