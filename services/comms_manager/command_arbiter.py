@@ -117,7 +117,8 @@ class CommandArbiter:
         The reflex itself is a Soft Stop; for held joints Soft Stop is Freeze. Freeze during a step waits until both
         feet stand.
         """
-        if reason := self._rejection(request.behavior):
+        limbs = "limbs are frozen by a Motion Manager only" if request.limbs else ""
+        if reason := limbs or self._rejection(request.behavior):
             return BehaviorReply(False, self.behavior, reason, Obstacle.CONDITION)
         if request.behavior == FALL:
             self._make_limp(origin)

@@ -1,6 +1,6 @@
 """Components of a Motion Manager."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -79,6 +79,16 @@ class Components:
             "" if self.upper_body.joints[Manipulation].any() else NOTHING_TO_LEAD,
         )
 
+    def freeze(self, limbs: Collection[str]) -> None:
+        """Freeze exactly these limbs, with nominal gains; joints driven by force where they are."""
+        assert self.state is not None
+        for side in self.hand_goals.sides:
+            if (arm := f"{SIDES[side]}_arm") in limbs:
+                self.hand_goals.release(side, f"{arm} is frozen")
+        self.upper_body.freeze(limbs, self.command.force, self.state.joint_position, self.time * 1e-9)
+        frozen = np.flatnonzero(self.reference.frozen & self.gains.impedance)
+        self.gains.request(frozen, self.robot.servo_stiffness[frozen], self.robot.servo_damping[frozen])
+
     def soles(self) -> Sequence[SolePose]:
         """Estimated poses of the left and right sole in odom."""
         assert self.state is not None
@@ -128,7 +138,9 @@ class Components:
         )
 
     def _arm_source(self, side: int) -> str:
-        """Command source of an arm (0 left, 1 right)."""
+        """Command source of an arm (0 left, 1 right), or frozen."""
+        if f"{SIDES[side]}_arm" in self.upper_body.frozen:
+            return "frozen"
         if self.fsm.manipulation is not Manipulation.TELEOP or not self.robot.tables.group(f"{SIDES[side]}_arm"):
             return "nobody"
         return "hand_goal" if self.hand_goals.leads(side) else "setpoints"

@@ -124,6 +124,8 @@ class MotionManager:
         self.authority.resume(proprioceptor.motor_behavior, state)
         components.device_reactions.update()
         components.drivers.proceed(state, now)
+        if components.upper_body.frozen and not self.fsm.locomotion.balancing:
+            components.freeze(())
         components.upper_body.enter(self.fsm.manipulation, self.fsm.attention, now)
         components.drivers.change(state, now)
 

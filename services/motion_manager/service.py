@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 import bifrost
-from valor.common.messages import BehaviorChange, Proprioceptor
+from valor.common.messages import BehaviorChange, FrozenLimbs, Proprioceptor
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
 from valor.common.topics import (
     BEHAVIOR_CHANGE,
+    FROZEN,
     HAND_GOAL_STATUS,
     MOTION_STATE,
     MOTOR,
@@ -57,6 +58,7 @@ class MotionManagerService:
         self._motor = MOTOR.publisher(node)
         self._motion_state = MOTION_STATE.publisher(node)
         self._behavior_change = BEHAVIOR_CHANGE.publisher(node)
+        self._frozen = FROZEN.publisher(node)
         self._rejection = REJECTION.publisher(node)
         self._step_status = STEP_STATUS.publisher(node)
         self._hand_status = HAND_GOAL_STATUS.publisher(node)
@@ -78,6 +80,7 @@ class MotionManagerService:
         self._polled = float("inf")  # monotonic time of the last poll [s]
         self._commands_end = 0.0  # deadline for commands of this cycle, monotonic [s]
         self._changes = -1  # the initial behavior is published, too
+        self._frozen_limbs: tuple[str, ...] | None = None
         self._step_status_due = 0
         self._step_changes = 0
         self._tick_time = 0.0  # duration of the last tick [s]
@@ -191,6 +194,10 @@ class MotionManagerService:
             self._changes = manager.fsm.changes
             _log.info("behavior %s: %s", manager.fsm.behavior, manager.fsm.reason)
             self._behavior_change.publish(BehaviorChange(manager.time, manager.fsm.behavior, manager.fsm.reason))
+        if (frozen := manager.components.upper_body.frozen) != self._frozen_limbs:
+            self._frozen_limbs = frozen
+            _log.info("frozen limbs: %s", ", ".join(frozen) or "none")
+            self._frozen.publish(FrozenLimbs(manager.time, list(frozen)))
 
     def _counts(self) -> tuple[int, int]:
         manager = self._manager

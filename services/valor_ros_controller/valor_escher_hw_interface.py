@@ -42,6 +42,7 @@ class ValorEscherHWInterface:
         self.motion: MotionState | None = None  # latest MotionState
         self.position: FloatArray = np.zeros(n)
         self.velocity: FloatArray = np.zeros(n)
+        self.frozen: tuple[str, ...] = ()  # limbs that the Motion System has frozen
         self.commanded: FloatArray = np.zeros(n)  # (n,) current set-points of the Motion System [rad or m]
         self.command = np.zeros((3, n))
         self.command_position, self.command_velocity, self.command_acceleration = self.command

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from math import isfinite
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 import bifrost
 from valor.common import topics
 from valor.common.arrays import FloatArray
-from valor.common.behaviors import STOPPED
+from valor.common.behaviors import STOPPED, Behavior
 from valor.common.messages import (
     BehaviorRequest,
     ControllerCycle,
@@ -79,6 +79,7 @@ class ValorEscherInterface:
             topics.MOTION_STATE: self._motion_state,
         }
         self._robot_clock = topics.CLOCK.subscriber(node)
+        self._frozen = topics.FROZEN.subscriber(node)
         self._setpoints = topics.JOINT_SETPOINTS.publisher(node)
         self._pelvis = topics.PELVIS.publisher(node)
         self._cycle = topics.CYCLE.publisher(node)
@@ -176,6 +177,8 @@ class ValorEscherInterface:
                 self._reject(
                     f"{topics.MOTION_STATE.name}: expected {self._n} finite numbers in joint_setpoint, 6 of the pelvis"
                 )
+        if (frozen := self._frozen.latest()) is not None:
+            self._hw.frozen = tuple(frozen.message.limbs)
         self.silent = self._silent_process(now)
         if now - self._motion_at > self._timeout:
             self.behavior = ""
@@ -198,6 +201,10 @@ class ValorEscherInterface:
         self._number += 2
         self._proceed(self._clock())
         return self._transition
+
+    def freeze(self, limbs: Sequence[str]) -> Future[BehaviorAnswer]:
+        """Request to freeze exactly these limbs."""
+        return self._commander.freeze(limbs)
 
     def abandon_transition(self, reason: str) -> None:
         """Send no more requests of the transition."""
@@ -270,6 +277,12 @@ class BehaviorCommander:
         self.discard()
         self._latest = self._thread.submit(self._serve, number, behavior)
 
+    def freeze(self, limbs: Sequence[str]) -> Future[BehaviorAnswer]:
+        """Request to freeze exactly these limbs; it is not replaced."""
+        future = self._thread.submit(self._call, 0, Behavior.FREEZE, limbs)
+        future.add_done_callback(lambda _: self._answered())
+        return future
+
     def discard(self) -> None:
         """Discard a request that has not been sent yet."""
         if self._latest is not None:
@@ -279,11 +292,11 @@ class BehaviorCommander:
         self.answers.write(self._call(number, behavior))
         self._answered()
 
-    def _call(self, number: int, behavior: str) -> BehaviorAnswer:
+    def _call(self, number: int, behavior: str, limbs: Sequence[str] = ()) -> BehaviorAnswer:
         # Without a Motion Manager, the Comms Manager stops the robot.
         client = self._stopper if behavior in STOPPED and self._client.server is None else self._client
         try:
-            reply = client.call(BehaviorRequest(behavior), ANSWER_TIMEOUT)
+            reply = client.call(BehaviorRequest(behavior, list(limbs)), ANSWER_TIMEOUT)
         except bifrost.Error as error:
             return BehaviorAnswer(number, False, str(error), silent=True)
         server = "the Motion Manager" if client is self._client else "the Comms Manager"

@@ -107,6 +107,11 @@ def test_nothing_but_stops_is_executed(held: Bench, behavior: str) -> None:
     assert not reply.accepted and "expected one of soft_stop, freeze, fall" in reply.reason
 
 
+def test_single_limbs_are_not_frozen(held: Bench) -> None:
+    reply = held.arbiter.stop(BehaviorRequest(FREEZE, ["left_arm"]), "somebody")
+    assert not reply.accepted and "limbs are frozen by a Motion Manager only" in reply.reason
+
+
 @pytest.mark.parametrize("state", ["walking", "held"])
 def test_fall_is_executed_at_once(state: str, request: pytest.FixtureRequest) -> None:
     bench: Bench = request.getfixturevalue(state)

@@ -107,6 +107,8 @@ def test_a_standing_robot_needs_no_command() -> None:
     text = "\n".join(shown(standing, 120))
     assert "behavior stand for 44 s: requested by somebody" in text and "→" not in text
     assert standing.as_json()["way_out"] is None and standing.as_json()["fallen"] is False
+    frozen = shown(replace(standing, frozen=["left_arm", "neck"]), 120)
+    assert "frozen: left_arm, neck → valorctl mode freeze --joints none --instance lab" in frozen
 
 
 # State of a process from supervisord and from its own reports; restarts; arm motions' duration.

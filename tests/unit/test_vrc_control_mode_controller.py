@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from typing import Any
 
 import pytest
@@ -53,6 +54,11 @@ class Plant:
         self._number += 2
         return self._transition
 
+    def freeze(self, limbs: list[str]) -> Future[BehaviorAnswer]:
+        future = Future[BehaviorAnswer]()
+        future.set_result(BehaviorAnswer(0, "left_leg" not in limbs, "the legs carry the robot"))
+        return future
+
     def wake(self) -> None: ...
 
     def cycle(self, count: int = 1) -> None:
@@ -91,6 +97,14 @@ def test_a_mode_is_reached_by_two_commands(plant: Plant) -> None:
     assert plant.ask("stand") == ModeReport("stand", "stand", S.MODE_ACCEPTED)
     assert plant.ask("Stand_Manipulate") == ModeReport("stand_manipulate", "stand_manipulate", S.MODE_ACCEPTED)
     assert plant.asked == ["stand", "stand", "stand", "stand_manipulate"]
+
+
+def test_limbs_are_frozen_in_the_mode_that_stays(plant: Plant) -> None:
+    plant.ask("stand")
+    assert plant.ask("Freeze left_arm neck") == ModeReport("Freeze left_arm neck", "stand", S.MODE_ACCEPTED)
+    refused = plant.ask("freeze left_leg")
+    assert refused == ModeReport("freeze left_leg", "stand", S.MODE_REJECTED | S.ERR_INVALID_BEHAVIOR_MODE)
+    assert plant.controller.rejections.last == "freeze left_leg: the legs carry the robot"
 
 
 def test_what_passes_by_itself_is_waited_for_and_not_refused(plant: Plant) -> None:

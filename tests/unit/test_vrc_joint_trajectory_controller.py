@@ -167,6 +167,23 @@ def test_inactive_or_not_accepted_it_sends_nothing_and_refuses(active: bool, wor
     assert not arm.sent
 
 
+def test_a_frozen_limb_loses_its_goal_takes_no_other_and_begins_where_it_is() -> None:
+    arm, clients = Arm().start(), (Client(), Client())
+    arm.request([point(1.0, 0.4)], clients[0])
+    arm.run(0.5)
+    held = arm.arm.copy()
+    arm.hw.frozen, arm.hw.commanded = ("left_arm",), arm.hw.position.copy()
+    arm.run(0.1)
+    arm.request([point(1.0, 0.0)], clients[1])
+    arm.run(0.1)
+    assert all(client.outcome.code is ErrorCode.INVALID_GOAL for client in clients)
+    assert [client.outcome.text for client in clients] == ["aborted: left_arm is frozen", "left_arm is frozen"]
+    arm.hw.frozen = ()
+    arm.run(0.1)
+    assert arm.arm == pytest.approx(held)
+    arm.assert_no_jump()
+
+
 def test_a_flood_of_refusals_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
     controller = Arm().start().controller
     for _ in range(1000):

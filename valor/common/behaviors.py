@@ -140,6 +140,11 @@ Sources: ``T`` thesis text, ``P`` public predecessors (ViGIR, Boston Dynamics, T
 because a control mode is always reached by two commands, a base behavior and then its Manipulate variant.
 """
 
+LEGS = ("left_leg", "right_leg")
+LIMBS = ("torso", "left_arm", "right_arm", "left_hand", "right_hand", "neck")
+"""Groups of robot.yaml that can be frozen while the rest of the robot moves."""
+NO_LIMB = "none"  # requested instead of limbs: releases all
+
 NOTHING_TO_LEAD = "this robot has no arms, hands or waist to control"
 """Rejection of behaviors with manipulation for a robot with legs and neck only."""
 

@@ -101,6 +101,7 @@ CLOCK           = Topic("comms_manager/clock",               m.ClockStatus,     
 MOTOR           = Topic("motion_manager/motor",              m.Motor,             _MOTION, CONTROL_RATE, 1, "commands to the motors")
 MOTION_STATE    = Topic("motion_manager/motion_state",       m.MotionState,       _MOTION, CONTROL_RATE, 1, "behavior, estimate, balance")
 BEHAVIOR_CHANGE = Topic("motion_manager/behavior_change",    m.BehaviorChange,    _MOTION, None,         0, "last change of behavior, with the reason", latched=True)
+FROZEN          = Topic("motion_manager/frozen",             m.FrozenLimbs,       _MOTION, None,         1, "limbs that hold while the rest moves", latched=True)
 REJECTION       = Topic("motion_manager/rejection",          m.Rejection,         _MOTION, None,         1, "rejected commands, with the reason")
 STEP_STATUS     = Topic("motion_manager/step_status",        m.StepStatus,        _MOTION, 10.0,         1, "progress of a footstep plan")
 JOINT_SETPOINTS = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,    _VRC,    None,         1, "set-points by joint name", queue=16)

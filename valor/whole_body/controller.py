@@ -12,6 +12,7 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
+from valor.robot.limiter import Joints
 from valor.robot.model import Model
 from valor.whole_body.balance.fall import BalanceWatch
 from valor.whole_body.balance.pelvis import PelvisReference
@@ -84,6 +85,7 @@ class WholeBodyController:
         )
         self._effort = np.zeros(len(robot.joints))  # last feasible
         self._forces = np.zeros(2)
+        self._frozen: Joints | None = None  # in the objective
         self.qp_failures = 0  # periods without a solution since construction
         self._weigh(None)
 
@@ -141,7 +143,8 @@ class WholeBodyController:
         self.pelvis.advance(1e-9 * state.time, dt)
         changed = self.weights.advance()
         self._step(state, dt)
-        if changed or self._gait.swinging != self._swung:
+        if changed or self._gait.swinging != self._swung or reference.frozen is not self._frozen:
+            self._frozen = reference.frozen
             self._weigh(self._gait.swinging)
         desired.update(state, self._gait, reference, dt)
         try:
@@ -172,7 +175,8 @@ class WholeBodyController:
 
     def _weigh(self, swinging: int | None) -> None:
         self._swung = swinging
-        self._objective.weigh(dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True)), swinging)
+        frozen = None if self._frozen is None else self._frozen[self._joints.places]
+        self._objective.weigh(dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True)), swinging, frozen)
 
     def _bounds(self, state: RobotState) -> Bounds:
         own, desired, n = self._joint_bounds, self._desired, self._joints.count

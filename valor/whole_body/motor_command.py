@@ -152,11 +152,13 @@ class MotorCommand:
         share: float,
         *,
         offsets: FloatArray | None = None,
+        held: Joints | None = None,
     ) -> None:
         """Command the Whole-Body Controller's output with weight ``share``, blended with ``hold`` without a jump.
 
         (n,) position, velocity and effort are those of ``hold``, and of joints that the controller does not move. (n,)
-        ``offsets`` compensate the servos: they are added to the controller's set-points [rad].
+        ``offsets`` compensate the servos: they are added to the controller's set-points [rad]. (n,) mask ``held``:
+        joints that have ``hold`` instead where they are driven by force, with the controller's effort.
         """
         drive = self._operation
         offsets = self._zeros if offsets is None else offsets
@@ -173,6 +175,14 @@ class MotorCommand:
             led_velocity = np.where(self.force, velocity, share * command.velocity + rest * velocity)
             compliant_effort = share * command.effort + rest * effort
             offsets = share * offsets
+        if held is not None and (by_servo := held & self.force).any():
+            servo = self._servo
+            drive = Drive(
+                np.where(by_servo, servo.mode, drive.mode),
+                np.where(by_servo, servo.stiffness, drive.stiffness),
+                np.where(by_servo, servo.damping, drive.damping),
+            )
+            led_position, led_velocity = np.where(by_servo, (position, velocity), (led_position, led_velocity))
         self._set(drive, position, velocity, compliant_effort, (led_position, led_velocity, offsets))
 
     def repeat(self) -> None:

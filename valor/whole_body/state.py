@@ -52,6 +52,7 @@ class UpperBodyReference:
     position: FloatArray  # (n,) [rad]
     velocity: FloatArray  # (n,) [rad/s]
     acceleration: FloatArray  # (n,) [rad/s²]
+    frozen: npt.NDArray[np.bool_] | None = None  # (n,) mask of joints that hold
 
 
 class QpStatus(IntEnum):

@@ -1,7 +1,7 @@
 """Requests for a behavior, and reactions that the devices demand."""
 
 from bifrost import Received
-from valor.common.behaviors import Behavior, Obstacle
+from valor.common.behaviors import NO_LIMB, Behavior, Obstacle
 from valor.common.messages import BehaviorReply, BehaviorRequest, DeviceStatus
 from valor.common.topics import BEHAVIOR, DEVICES
 from valor.motion_manager.handlers.handler import Handler, RequestHandler
@@ -19,12 +19,25 @@ class BehaviorHandler(RequestHandler[BehaviorRequest, BehaviorReply]):
         except ValueError:
             reason = f"unknown behavior {request.behavior[:64]!r}; expected one of {', '.join(Behavior)}"
             return self._reject(origin, "unknown", reason, Obstacle.TRANSITION)
+        if request.limbs:
+            return self._freeze(target, [] if request.limbs == [NO_LIMB] else request.limbs, origin)
         if target is not fsm.behavior and (reason := self.components.authority.rejection(target)):
             return self._reject(origin, "no_robot", reason, Obstacle.CONDITION)
         verdict = fsm.request(target, self.components.conditions(), origin)
         if not verdict.accepted:
             return self._reject(origin, target, verdict.reason, verdict.obstacle)
         return BehaviorReply(True, fsm.behavior, verdict.reason, Obstacle.NONE)
+
+    def _freeze(self, target: Behavior, limbs: list[str], origin: str) -> BehaviorReply:
+        """Freeze exactly these limbs; the robot keeps its behavior."""
+        components, behavior = self.components, self.components.fsm.behavior
+        reason = components.upper_body.rejection(limbs) or components.authority.rejection(behavior)
+        if target is not Behavior.FREEZE or (limbs and not behavior.balancing):
+            reason = reason or f"limbs are frozen by freeze while the robot balances; it is in behavior {behavior}"
+        if reason:
+            return self._reject(origin, "limbs", reason, Obstacle.CONDITION)
+        components.freeze(limbs)
+        return BehaviorReply(True, behavior, "", Obstacle.NONE)
 
     def _reject(self, origin: str, kind: str, reason: str, obstacle: Obstacle) -> BehaviorReply:
         if obstacle is not Obstacle.WAIT:  # clients repeat such requests: no error

@@ -58,6 +58,8 @@ class JointSetpointsHandler(Handler[JointSetpoints]):
                     "closed",
                     f"joint {joint!r} is closed to set-points in behavior {components.fsm.behavior}: {closed}",
                 )
+        if frozen := components.upper_body.frozen_limb(layout.joints, now * 1e-9):
+            raise RefusalError("frozen", frozen)
         for side, arm in enumerate(self._arms):
             if components.hand_goals.moves(side, now * 1e-9) and (arm & set(layout.joints.tolist())):
                 raise RefusalError("hand_goal", f"the {SIDES[side]} arm follows a hand goal")

@@ -83,6 +83,8 @@ class HandGoalHandler(Handler[HandGoalMessage]):
         fsm = self.components.fsm
         if fsm.manipulation is not Manipulation.TELEOP:
             raise RefusalError("behavior", f"hand goals are followed in the manipulate behaviors; it is {fsm.behavior}")
+        if (arm := f"{SIDES[message.hand]}_arm") in self.components.upper_body.frozen:
+            raise RefusalError("frozen", f"{arm} is frozen")
         if message.frame not in FRAMES:
             raise RefusalError("frame", f"frame {message.frame[:64]!r}; expected {' or '.join(FRAMES)}")
         position, matrix = pose(message.position, message.orientation, NORM)

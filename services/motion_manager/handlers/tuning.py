@@ -29,6 +29,8 @@ class JointGainsHandler(Handler[JointGains]):
         message, gains = received.message, self.components.gains
         joints = _indices(self.components.fsm, message.names, self.components.robot.index, "joint")
         _check_numbers(message.names, stiffness=message.stiffness, damping=message.damping)
+        if frozen := self.components.upper_body.frozen_limb(joints, now * 1e-9):
+            raise RefusalError(KIND, frozen)
         for name, joint in zip(message.names, joints.tolist(), strict=True):
             if not gains.impedance[joint]:
                 raise RefusalError(KIND, f"joint {name!r} is not driven by impedance: it has no gains to change")

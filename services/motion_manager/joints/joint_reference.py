@@ -57,6 +57,7 @@ class JointReference:
         self._move: PostureMove | None = None
         self._moving: Joints = np.zeros(n, dtype=bool)
         self._extrapolating = False  # whether a set-point is extrapolated
+        self.frozen: Joints = np.zeros(n, dtype=bool)  # joints that only hold
 
     @property
     def position(self) -> FloatArray:
@@ -102,9 +103,12 @@ class JointReference:
         self._setpoint_acceleration[joints] = setpoint.acceleration
         self._setpoint_time[joints] = setpoint.time
         self._extrapolating = True
+        if self.frozen[joints].any():
+            self.hold(self.frozen)
 
     def move(self, joints: Joints, goal: FloatArray, now: float) -> PostureMove:
         """Move joints to a posture (n,) [rad], all arriving together; ends a present move."""
+        joints = joints & ~self.frozen
         if self._move is not None:
             self.hold(self._moving)
         start = self._limiter.position
@@ -116,7 +120,7 @@ class JointReference:
             began=now,
             shortest=SHORTEST_MOVE,
         )
-        self._moving = joints.copy()
+        self._moving = joints
         np.copyto(self._setpoint, self._move.goal, where=joints)
         self._setpoint_velocity[joints] = 0.0
         self._setpoint_acceleration[joints] = 0.0

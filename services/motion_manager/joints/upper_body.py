@@ -1,12 +1,13 @@
 """Reference of arms, hands, waist and neck by the states of the Manipulation and Attention FSMs."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from enum import StrEnum
 
 import numpy as np
+import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.common.behaviors import Attention, Locomotion, Manipulation
+from valor.common.behaviors import LEGS, LIMBS, Attention, Locomotion, Manipulation
 from valor.motion_manager.joints.joint_reference import JointReference, Setpoint
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
@@ -15,10 +16,11 @@ SILENCE = 0.2  # timeout without set-points, after which joints that followed th
 LOST = 0.4  # distance of a joint from its command, at which its limb holds where it is [rad or m]
 LOST_TIME = 0.2  # for which it must last, and in which the joint moves further away [s]
 LOST_MOVE = 0.04  # by this much; a joint that something blocks does not move [rad or m]
+GRACE = 0.05  # from freezing a limb to rejections of its set-points, for clients to stop them [s]
 DWELL = 0.3  # delay before slaved arms move home, so that a pair of commands can resolve [s]
 
 JOINT_ACCESS: Mapping[type[StrEnum], tuple[str, ...]] = {
-    Locomotion: ("left_leg", "right_leg"),
+    Locomotion: LEGS,
     Manipulation: ("torso", "left_arm", "right_arm", "left_hand", "right_hand"),
     Attention: ("neck", "lidar"),
 }
@@ -66,6 +68,9 @@ class UpperBody:
         unled = [joint for group in ("left_hand", "right_hand", "lidar") for joint in groups.get(group, ())]
         self._led = np.array([joint not in unled for joint in robot.joints])
         self._names = robot.joints
+        self._limbs = {limb: robot.group_indices(limb) for limb in LIMBS if groups.get(limb)}
+        self.frozen: tuple[str, ...] = ()  # limbs that hold while the rest of the robot moves
+        self._frozen_at = 0.0
         self._off: tuple[float, FloatArray] | None = None  # since when joints are off, and where they were then
         self._lost: dict[type[StrEnum], str] = {}  # FSM whose joints left their commands → how far
         self.setpoint_sequence = 0
@@ -86,6 +91,33 @@ class UpperBody:
             self._reference.hold(self.joints[machine])
             if machine is Manipulation:
                 self._home_at = now + DWELL if state is Manipulation.SLAVE else None
+
+    def freeze(self, limbs: Collection[str], force: Joints, measured: FloatArray, now: float) -> None:
+        """Freeze exactly these limbs; (n,) mask ``force``: joints that do so at (n,) ``measured`` positions [rad]."""
+        reference, joints = self._reference, np.zeros(len(self._names), dtype=bool)
+        for limb in limbs:
+            joints[self._limbs[limb]] = True
+        new = joints & ~reference.frozen
+        reference.take_up(new & force, measured)
+        reference.hold(new)
+        reference.frozen = joints
+        self.frozen, self._frozen_at = tuple(limb for limb in self._limbs if limb in limbs), now
+        if self._states[Manipulation] is Manipulation.SLAVE:
+            self._home_at = now + DWELL  # of released arms
+
+    def rejection(self, limbs: Iterable[str]) -> str:
+        """Reason why limbs cannot be frozen; empty if they can."""
+        for limb in limbs:
+            if limb not in self._limbs:
+                carrying = "the legs carry the robot, and are frozen only with all of it; " if limb in LEGS else ""
+                return f"{limb[:64]!r} cannot be frozen: {carrying}expected of {', '.join(self._limbs)}"
+        return ""
+
+    def frozen_limb(self, joints: npt.NDArray[np.intp], now: float) -> str:
+        """Reason to reject set-points of joints (k,), one of whose limbs is frozen; empty if there is none."""
+        if not self.frozen or now - self._frozen_at < GRACE:
+            return ""
+        return next((f"{limb} is frozen" for limb in self.frozen if np.isin(joints, self._limbs[limb]).any()), "")
 
     def closed(self, machine: type[StrEnum]) -> str:
         """Reason why joints of an internal FSM accept no set-points; empty if they do."""
@@ -123,7 +155,7 @@ class UpperBody:
         """Hold joints that follow set-points where they are, if one moves away from its command, beyond ``LOST``."""
         led = [machine for machine, received in self._received.items() if received is not None]
         away = measured - self._reference.position
-        off = np.where(self._led, np.abs(away), 0.0)
+        off = np.where(self._led & ~self._reference.frozen, np.abs(away), 0.0)
         if not any((off[self.joints[machine]] > LOST).any() for machine in led):
             self._off = None
             return
@@ -142,4 +174,4 @@ class UpperBody:
                     "The joints hold where they were; change the control mode to move them again"
                 )
                 self._received[machine] = None
-                self._reference.take_up(self.joints[machine], measured)
+                self._reference.take_up(self.joints[machine] & ~self._reference.frozen, measured)

@@ -52,13 +52,14 @@ class BalanceControl:
         self._choose_steps(source, now)
         if components.gains.advance():
             motors.set_gains(components.gains.stiffness, components.gains.damping)
+        place, rate, frozen = reference.position, reference.velocity, reference.frozen
         command = self.command = self.controller.update(
-            state, UpperBodyReference(reference.position, reference.velocity, reference.acceleration), dt
+            state, UpperBodyReference(place, rate, reference.acceleration, frozen), dt
         )
         fraction = min(1.0, (now - self._blend_start) / BLEND)
         offsets = components.servos.offsets(state, command, dt, complete=fraction >= 1.0)
         effort = components.posture.effort(now) if fraction < 1.0 else self._no_effort
-        motors.balance(command, reference.position, reference.velocity, effort, fraction, offsets=offsets)
+        motors.balance(command, place, rate, effort, fraction, offsets=offsets, held=frozen)
         self._failures = self._failures + 1 if command.qp_status is QpStatus.INFEASIBLE else 0
         if self._failures >= self._most_failures and self._fsm.may_go(Behavior.SOFT_STOP):
             self._fsm.go(Behavior.SOFT_STOP, f"the whole-body QP was infeasible for {self._failures} periods in a row")

@@ -6,11 +6,12 @@ client, the end of a footstep plan) is followed and reported as external.
 
 import logging
 from collections import deque
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 from valor.common.behaviors import ControlMode, Obstacle, requester
 from valor.common.messages import ModeStatus
-from valor.valor_ros_controller.behavior_transition import BehaviorTransition, TransitionState
+from valor.valor_ros_controller.behavior_transition import BehaviorAnswer, BehaviorTransition, TransitionState
 from valor.valor_ros_controller.control_modes import (
     ControlModeTable,
     ModeClient,
@@ -58,6 +59,7 @@ class ControlModeController(Controller):
         self._motion = motion_system
         self._requests: deque[tuple[str, ModeClient | None]] = deque()
         self._change: _Change | None = None
+        self._freezes: deque[tuple[str, ModeClient | None, Future[BehaviorAnswer]]] = deque()  # of limbs, in progress
         self._answers: list[tuple[ModeClient, ModeReport]] = []
         self._followed = ""  # behavior last compared with the mode
         self._next_mode = ""  # mode to request without a client
@@ -75,12 +77,14 @@ class ControlModeController(Controller):
         return self.report.current
 
     def request(self, mode: str, client: ModeClient | None = None) -> None:
-        """Request a mode by name in any case, or an emergency stop. From any thread."""
+        """Request a mode by name in any case, an emergency stop, or ``freeze`` with limbs. From any thread."""
         self._requests.append((bounded(mode), client))
         self._motion.wake()
 
     def update(self, hw: ValorEscherHWInterface) -> None:
         motion, reports = self._motion, self.reports
+        while self._freezes and self._freezes[0][2].done():
+            self._end_freeze(*self._freezes.popleft())
         if not motion.behavior:
             if self.active_mode or self._change:
                 self._lose_motion_system()
@@ -176,6 +180,10 @@ class ControlModeController(Controller):
             if not self._motion.behavior:
                 waiting = self._motion.silent or "the Motion System"
                 raise ModeRejectedError(_S.ERR_CONTROLLER_NOT_READY, f"{waiting} is silent")
+            name, *limbs = requested.lower().split() or [""]
+            if name == ControlMode.FREEZE and limbs:
+                self._freezes.append((requested, client, self._motion.freeze(limbs)))
+                return
             under_way = change.target.mode if change else ""
             target = admit(self._table, requested, self.current, self._motion.behavior, under_way)
         except ModeRejectedError as rejected:
@@ -210,6 +218,18 @@ class ControlModeController(Controller):
         self._set(report)
         if client:
             client.processing(report)
+
+    def _end_freeze(self, requested: str, client: ModeClient | None, future: Future[BehaviorAnswer]) -> None:
+        """Report the Motion Manager's reply to a request to freeze limbs; the mode stays."""
+        answer = future.result()
+        if not answer.accepted:
+            error = _S.ERR_CONTROLLER_NOT_READY if answer.silent else _S.ERR_INVALID_BEHAVIOR_MODE
+            self._reject(requested, client, error, answer.reason)
+            return
+        report = ModeReport(requested, self.current, _S.MODE_ACCEPTED)
+        if self._change is None:
+            self._set(report)
+        self._conclude(client, report)
 
     def _restart(self, name: str, *, repeated: bool = False) -> None:
         """Restart controllers if the mode does so; a ``repeated`` request only in stop, for what has moved since."""

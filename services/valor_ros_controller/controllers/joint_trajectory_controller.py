@@ -60,6 +60,7 @@ class JointTrajectoryController(Controller):
         self._log = BoundedLog(_log)
         self.rejections = RejectionLog(self._log, "trajectory of {}")
         self._modes = ", ".join(modes)
+        self._groups = config.groups
         self._accepted_when = tuple(config.accepted_when.items())
         self._queue: deque[TrajectoryRequest | TrajectoryGoal] = deque()
         self._trajectory = Trajectory.holding(0, self.position)
@@ -149,7 +150,7 @@ class JointTrajectoryController(Controller):
     def _accept(self, hw: ValorEscherHWInterface) -> None:
         """Check whether the Motion System accepts the joints; wait while it does not."""
         motion = hw.motion
-        accepted = motion is not None
+        accepted = motion is not None and not self._taken(hw)
         for field, state in self._accepted_when:
             accepted = accepted and getattr(motion, field) == state
         if not accepted:
@@ -178,7 +179,7 @@ class JointTrajectoryController(Controller):
     def _wait(self, request: TrajectoryRequest, hw: ValorEscherHWInterface) -> None:
         """Wait while the Motion System does not accept the joints; abort when they are lost."""
         waited = (hw.time - self._waiting_since) * 1e-9
-        lost = self._hand_goal(hw)
+        lost = self._taken(hw)
         if not lost and waited > LONGEST_WAIT:
             lost = f"the Motion System has accepted no set-points for {waited:.1f} s; {self._expected(hw)}"
         if lost:
@@ -187,8 +188,10 @@ class JointTrajectoryController(Controller):
         elif request.goal and self._feedback_due(hw):
             request.goal.feedback(hw)
 
-    def _hand_goal(self, hw: ValorEscherHWInterface) -> str:
-        """Reason that a hand goal controls the joints; empty if it does not."""
+    def _taken(self, hw: ValorEscherHWInterface) -> str:
+        """Reason that the joints are frozen, or a hand goal controls them; empty if neither."""
+        if frozen := [group for group in self._groups if group in hw.frozen]:
+            return f"{frozen[0]} is frozen"
         taken = [limb for limb, _ in self._accepted_when if hw.motion and getattr(hw.motion, limb) == HAND_GOAL]
         return f"the {taken[0].replace('_', ' ')} follows a hand goal, until that is canceled" if taken else ""
 
@@ -218,7 +221,7 @@ class JointTrajectoryController(Controller):
                 )
             if not self.writing:
                 rejected = f"the Motion System accepts no set-points for {self.name}; {self._expected(hw)}"
-                raise InvalidTrajectoryError(self._hand_goal(hw) or rejected)
+                raise InvalidTrajectoryError(self._taken(hw) or rejected)
             trajectory = begin(
                 request.waypoints,
                 request.start,

@@ -220,6 +220,7 @@ class Diagnostics:
         values = {
             "behavior": behavior,
             "reason of the last change": reason,
+            "frozen": ", ".join(self._core.hw.frozen),
             "proprioceptor age [s]": f"{interface.proprioceptor_age:.3f}",
             "motion_state age [s]": f"{interface.motion_state_age:.3f}",
             "messages rejected": interface.rejected,

@@ -216,6 +216,9 @@ def arms_obey(ctl: Cli) -> None:
     assert "left_arm_traj_controller" in refused and "stand_manipulate" in refused
     assert "MODE_ACCEPTED" in ctl("mode", "stand_manipulate") and "already" in ctl("mode", "stand_manipulate")
     assert "expected one of" in ctl("mode", "backflip", status=1)
+    assert "carry the robot" in ctl("mode", "freeze", "--joints", "left_leg", status=1)
+    assert "accepted: freeze left_arm" in ctl("mode", "freeze", "--joints", "left_arm")
+    assert "frozen: left_arm" in ctl("status") and "accepted" in ctl("mode", "freeze", "--joints", "none")
     shown = json.loads(ctl("mode", "--json"))
     assert (shown["control_mode"], shown["behavior"]) == ("stand_manipulate", "stand_manipulate")
     assert "forward" in ctl("arm", "left", "backflip", status=1)

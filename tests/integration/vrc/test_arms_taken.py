@@ -27,7 +27,9 @@ from tests.integration.vrc.vrc_system import (
     INVALID_TRANSITION,
     PATIENCE,
     REJECTED,
+    ROBOT,
     STATUS_ABORTED,
+    SUCCESSFUL,
     Topic,
     ask,
     go,
@@ -38,6 +40,7 @@ from tests.integration.vrc.vrc_system import (
 
 BASE = "/trajectory_controllers/right_arm_traj_controller"
 MODE_COMMAND = "/flor/controller/mode_command"
+LEFT_HOME = ROBOT.tables.arm_presets["home"]["left"]
 LONG = 100  # a goal ends within it only if it loses the arm, however late a busy computer lets the other one ask [s]
 
 
@@ -124,6 +127,7 @@ TAKES: dict[str, tuple[Callable[[Desk], object], str]] = {
     "a hand goal": (Desk.lead_hand, "the right arm follows a hand goal, until that is canceled"),
     "mode stand": (change_mode("stand"), "control mode stand"),
     "soft stop": (soft_stop, "control mode soft_stop"),
+    "a freeze": (change_mode("freeze right_arm"), "right_arm is frozen"),
     "a switch": (Desk.switch_off, "switched by a client"),
 }
 
@@ -149,6 +153,12 @@ def test_whoever_loses_the_arm_is_told_at_once(manipulating: RosClient, desk: De
             desk.wait_refused(f"{BASE}/joint_trajectory", words)
             assert manipulating.change_mode("stop").status == ACCEPTED
             desk.wait_hand("idle", "released")
+        elif taker == "a freeze":  # the other arm goes on, the legs cannot be frozen
+            assert words in manipulating.follow("right_arm", [(3.0, HOME)]).result.error_string
+            assert manipulating.follow("left_arm", [(1.0, LEFT_HOME)]).result.error_code == SUCCESSFUL
+            assert manipulating.change_mode("freeze left_leg").status == REJECTED | INVALID_MODE
+            desk.wait_refused(MODE_COMMAND, "the legs carry the robot")
+            assert manipulating.change_mode("freeze none").status == ACCEPTED
         recover(manipulating, desk)
     publish(desk.ros, f"{BASE}/joint_trajectory", trajectory(FORWARD, LONG))
     desk.lead_hand()

@@ -1,5 +1,7 @@
 """Messages of and to the Motion Manager."""
 
+from msgspec import field
+
 from bifrost import Float64Array, Message, Uint8Array
 
 
@@ -28,7 +30,7 @@ class MotionState(Message):
     pelvis_orientation_variance: Float64Array  # (3,) about the axes of odom [rad²]
     pelvis_linear_velocity_variance: Float64Array  # (3,) along the axes of odom [m²/s²]
     hand_contacts: Uint8Array  # (2,) left, right hand: 1 in contact, by its force sensor
-    left_arm: str  # command source: nobody, setpoints, hand_goal
+    left_arm: str  # command source: nobody, setpoints, hand_goal; or frozen
     right_arm: str
     joint_setpoint: Float64Array  # (n,) desired [rad], without servo compensation; measured for joints in force control
     pelvis_setpoint: Float64Array  # (6,) last command, as in PelvisSetpoint
@@ -47,6 +49,13 @@ class BehaviorChange(Message):
     time: int
     behavior: str
     reason: str  # as in MotionState
+
+
+class FrozenLimbs(Message):
+    """Limbs that hold while the rest of the robot moves. Without arrays, so that subscribers need no NumPy."""
+
+    time: int
+    limbs: list[str]  # groups of robot.yaml; empty: none
 
 
 class Rejection(Message):
@@ -142,6 +151,8 @@ class BehaviorRequest(Message):
     """Request for a behavior, named as in ``common/behaviors.py`` (``stand``, ``stand_manipulate``, …)."""
 
     behavior: str
+    # With freeze: exactly these groups of robot.yaml, none: release all; empty: the whole robot.
+    limbs: list[str] = field(default_factory=list)
 
 
 class BehaviorReply(Message):

@@ -18,6 +18,7 @@ ACTION = "mode_controllers/control_mode_controller/change_control_mode"
 CHANGE_TIMEOUT = 60.0  # includes motions of the robot [s]
 _REPORT_TIMEOUT = 2.0  # reports are published at 10 Hz [s]
 _POLL = 0.05  # [s]
+_Behaviors = bifrost.Client[BehaviorRequest, BehaviorReply]
 
 
 def flag_names(status: int) -> list[str]:
@@ -40,9 +41,9 @@ class ModeChange:
 
     @property
     def reached(self) -> bool:
-        """True if the requested mode is the current one, also if it was before."""
+        """True if the requested mode is the current one, also if it was before; or the limbs are frozen."""
         refused = self.status & (ModeStatus.MODE_REJECTED | ModeStatus.MODE_PREEMPTED)
-        return self.current == self.requested and not refused
+        return (self.current == self.requested or " " in self.requested) and not refused
 
     def describe(self) -> str:
         """One line."""
@@ -50,6 +51,7 @@ class ModeChange:
         if self.reached:
             before = self.status & ModeStatus.MODE_DUPLICATE
             words = "control mode was already" if before else "accepted: control mode is"
+            words = f"accepted: {self.requested}; control mode is" if " " in self.requested else words
             return f"{words} {self.current} ({flags}; {self.latency * 1e3:.0f} ms)"
         because = f": {self.reason}" if self.reason else ""
         return f"control mode {self.requested} rejected ({flags}){because}; it is {self.current or 'none'}"
@@ -63,6 +65,8 @@ def report(instance: Instance) -> ControlModeReport:
 
 def change(instance: Instance, mode: str, check: Callable[[], None] = lambda: None) -> ModeChange:
     """Request a control mode from the VRC as a ROS client; from the Motion Manager if ROS commands are rejected.
+
+    ``mode`` is one, or ``freeze`` with limbs, separated by spaces.
 
     ``check`` is called while waiting and may raise. Raises ``ValorError`` without a response, or a result in time.
     """
@@ -95,12 +99,14 @@ def enter(instance: Instance, mode: str, check: Callable[[], None] = lambda: Non
 
 def _request_behaviors(instance: Instance, mode: str, began: float, check: Callable[[], None]) -> tuple[str, int, str]:
     """Request the behaviors of a mode from the Motion Manager; the VRC follows. Returns mode, status and reason."""
+    mode, *limbs = mode.split()
     with join(instance) as node:
         client = BEHAVIOR.client(node)
         reports = CONTROL_MODE.subscriber(node)
-        reason = next((why for each in mode_names.behaviors(mode) if (why := _reach(client, each, began, check))), "")
+        requests = [BehaviorRequest(each, limbs) for each in ([mode] if limbs else mode_names.behaviors(mode))]
+        reason = next((why for each in requests if (why := _reach(client, each, began, check))), "")
         current = next_message(CONTROL_MODE, reports, _REPORT_TIMEOUT).current_control_mode
-        while not reason and current != mode:
+        while not reason and not limbs and current != mode:
             check()
             current = next_message(CONTROL_MODE, reports, _REPORT_TIMEOUT).current_control_mode
             if time.monotonic() - began > CHANGE_TIMEOUT:
@@ -112,16 +118,14 @@ def _request_behaviors(instance: Instance, mode: str, began: float, check: Calla
     )
 
 
-def _reach(
-    client: bifrost.Client[BehaviorRequest, BehaviorReply], behavior: str, began: float, check: Callable[[], None]
-) -> str:
-    """Request until a behavior is reached; returns why it is not, or an empty string."""
+def _reach(client: _Behaviors, request: BehaviorRequest, began: float, check: Callable[[], None]) -> str:
+    """Request until a behavior is reached, or its limbs frozen; returns why it is not, or an empty string."""
     while time.monotonic() - began <= CHANGE_TIMEOUT:
         check()
-        reply = client.call(BehaviorRequest(behavior), timeout=CHANGE_TIMEOUT)
+        reply = client.call(request, timeout=CHANGE_TIMEOUT)
         if not reply.accepted and reply.obstacle != Obstacle.WAIT:
             return reply.reason
-        if reply.accepted and reply.behavior == behavior:
+        if reply.accepted and (request.limbs or reply.behavior == request.behavior):
             return ""
         time.sleep(_POLL)
-    return f"{behavior} not reached within {CHANGE_TIMEOUT:g} s"
+    return f"{request.behavior} not reached within {CHANGE_TIMEOUT:g} s"

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from valor.common.behaviors import LIMBS, NO_LIMB, ControlMode
 from valor.common.errors import ValorError, require_one_of
 from valor.common.instance import Instance
 from valor.common.resources import file_of, names
@@ -16,6 +17,7 @@ PUSH_DURATION = 0.1  # [s]
 _NUMBERS_MAY_BE_NEGATIVE = {"ignore_unknown_options": True}
 
 _MODE = typer.Argument(help="Control mode to enter; default: show the current one.", autocompletion=completion.modes)
+_LIMBS = f"With freeze: only these limbs, the rest goes on: {', '.join(LIMBS)}; repeatable. {NO_LIMB}: release all."
 _ARM_PRESET = typer.Argument(help="Posture in arm_presets of robot.yaml.", autocompletion=completion.arm_presets)
 _HAND_PRESET = typer.Argument(
     help="Posture in hand_presets of robot.yaml: open, close.", autocompletion=completion.hand_presets
@@ -61,13 +63,16 @@ def _report(values: dict[str, Any], text: str, failure: str, json: bool) -> None
 
 def mode(
     name: Annotated[str | None, _MODE] = None,
+    joints: Annotated[list[str] | None, typer.Option(metavar="LIMB", help=_LIMBS)] = None,
     json: Json = False,
 ) -> None:
-    """Show or change the control mode."""
+    """Show or change the control mode, or freeze limbs while the rest of the robot goes on."""
     from valor.common import mode_names
     from valor.valorctl.drive import control_mode
     from valor.valorctl.instance import running
 
+    if joints and name != ControlMode.FREEZE:
+        raise ValorError(f"--joints goes with mode {ControlMode.FREEZE}")
     instance = running.require_running()
     if name is None:
         report = control_mode.report(instance)
@@ -86,7 +91,7 @@ def mode(
         return
     require_one_of("control mode", name, list(mode_names.modes()))
     with Interruption() as interruption:
-        change = control_mode.change(instance, name, check=interruption.check)
+        change = control_mode.change(instance, " ".join((name, *(joints or ()))), check=interruption.check)
     result = {
         "requested": change.requested,
         "control_mode": change.current,

@@ -13,7 +13,7 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import BehaviorChange, ClockStatus
 from valor.common.processes import BY_NAME, RECORDER
-from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, PAUSED, Topic
+from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, FROZEN, PAUSED, Topic
 from valor.common.viewing import page_port, url
 from valor.valorctl.drive.getting_up import simulated
 from valor.valorctl.instance.running import processes_found, supervising, unsupervised
@@ -28,7 +28,7 @@ WAY_OUT: Mapping[str, str] = {
 }
 """The verb that ends a behavior in which the robot rejects other commands."""
 UPTIME_STEP = 1.0  # resolution of supervisord's uptime [s]
-TOPICS: tuple[Topic[Any], ...] = (BEHAVIOR_CHANGE, CONTROL_MODE, CLOCK)
+TOPICS: tuple[Topic[Any], ...] = (BEHAVIOR_CHANGE, FROZEN, CONTROL_MODE, CLOCK)
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class Status:
     recording: Glance | None = None  # None: no recorder on this computer
     condition: Condition | None = None
     hosts: Sequence[HostState] = ()  # empty: all processes run on this computer
+    frozen: Sequence[str] = ()  # limbs frozen while the rest of the robot moves
     supervised: bool = True  # whether supervisord responds, which restarts processes
 
     @property
@@ -118,6 +119,7 @@ class Status:
             "since_s": condition and condition.since,
             "began": condition and condition.began,
             "fallen": self.fallen,
+            "frozen": list(self.frozen),
             "way_out": self.way_out,
             "bag": condition and condition.bag and str(condition.bag),
             "control_mode": self.control_mode,
@@ -208,6 +210,7 @@ class Watch:
             recording=glance(self._instance, self._settings.recording.bounds) if records else None,
             hosts=self._supervisor.hosts(),
             condition=self._condition(change) if change else None,
+            frozen=frozen.message.limbs if change and (frozen := received[FROZEN.name]) else (),
             supervised=supervised,
         )
 

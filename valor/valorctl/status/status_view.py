@@ -10,6 +10,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from valor.common.instance import Instance
 from valor.common.linking import robot_side_advice
 from valor.common.processes import BY_NAME
 from valor.valorctl.drive.getting_up import BY_HAND, FACE_DOWN
@@ -79,12 +80,15 @@ def _robot(status: Status) -> list[Text]:
             f" for {time.time() - condition.began:.0f} s" if condition else "",
         )
     ]  # fmt: skip
+    if status.frozen:
+        verb = f"valorctl mode freeze --joints none{Instance.option(status.instance)}"
+        lines.append(Text.assemble((f"frozen: {', '.join(status.frozen)}", WAITING), " → ", (verb, "bold")))
     if status.paused:
         return [*lines, Text("robot time is paused", WAITING), Text.assemble("→ ", (status.way_out or "", "bold"))]
     if condition is None:
         return lines
     if status.way_out is None:
-        return [lines[0].append(f": {condition.reason}")]
+        return [lines[0].append(f": {condition.reason}"), *lines[1:]]
     word = "fallen" if status.fallen else behavior
     began = f"{datetime.fromtimestamp(condition.began):%H:%M:%S} ({condition.since:.1f} s of robot time)"
     lines.append(Text(f"{word} since {began}: {condition.reason}", colour))

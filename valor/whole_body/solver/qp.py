@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel
+from valor.robot.limiter import Joints
 from valor.whole_body.constraints import UNBOUNDED, JointLimit, Limit, Solved
 from valor.whole_body.model.dynamics import Dynamics, ModelJoints
 from valor.whole_body.model.motion import Motions
@@ -27,6 +28,7 @@ from valor.whole_body.tasks import GROUPS, Task
 
 ROUNDS = 8  # Most rounds of limits joining the problem
 TOLERANCE = 1e-6  # Tolerance of a limit [N·m, rad/s²]
+FROZEN_WEIGHT = 30.0  # of the posture of frozen joints
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite for any tasks
 
 
@@ -56,12 +58,14 @@ class Objective:
         self._weighted = np.zeros((rows, nv))
         self._wanted = np.zeros(rows)
 
-    def weigh(self, weights: Mapping[str, float], swinging: int | None) -> None:
-        """Set weights by name, and the swing foot (0 left, 1 right; None: neither)."""
+    def weigh(self, weights: Mapping[str, float], swinging: int | None, frozen: Joints | None = None) -> None:
+        """Set weights by name, the swing foot (0 left, 1 right; None: neither), and a mask (nj,) of frozen joints."""
         for task, rows in self._tasks:
             task.weigh(weights[task.weight], swinging, self._weight[rows])
         for weight, group in self._groups.items():
             self._posture_weight[group] = weights[weight]
+        if frozen is not None:
+            self._posture_weight[frozen] = FROZEN_WEIGHT
         self._diagonal[6:] = REGULARIZATION + self._posture_weight
 
     def update(self, dynamics: Dynamics, acceleration: FloatArray, posture: FloatArray) -> None:
