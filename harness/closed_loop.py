@@ -13,7 +13,7 @@ from valor.self_test.closed_loop import ClosedLoop
 __all__ = ["ClosedLoop", "load_robot"]
 
 
-def load_robot(name: str = "escher", **tables: Mapping[str, object] | float) -> RobotDescription:
+def load_robot(name: str = "escher", **tables: Mapping[str, object] | float | str) -> RobotDescription:
     """A robot, with values of some of its tables replaced: ``whole_body={"dcm_gain": 3.0}``, ``control_rate=1000``."""
     robot = RobotDescription.load(ROBOTS / name)
     if not tables:

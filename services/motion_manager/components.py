@@ -10,6 +10,7 @@ from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.handlers.handler import RejectionCounter
 from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
 from valor.motion_manager.hands.hand_loads import HandContacts, HandLoads
+from valor.motion_manager.joints.arm_pd import ArmPdControl
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.joints.servos import JointGains, ServoCompensation
 from valor.motion_manager.joints.upper_body import UpperBody
@@ -53,6 +54,7 @@ class Components:
         self.reference = JointReference(robot)
         self.gains = JointGains(robot, self.command.impedance)
         self.servos = ServoCompensation(robot, self.command)
+        self.arm_pd = ArmPdControl(robot) if robot.tables.arm_control == "pd" else None
         self.upper_body = UpperBody(robot, self.reference)
         self.hand_goals = HandGoals(model, self.reference, robot.nominal_posture)
         self.hand_contacts = HandContacts(robot.tables.hands)

@@ -37,6 +37,7 @@ SETTLE, QUICK_SETTLE = 1.5, 0.6  # between two motions [robot time, s]
 SILENCE = 5.0  # timeout of Proprioceptor [s]
 REAL_ARMS = "drc_finals"  # of robot.yaml's actuators: backlash, no gravity compensation, a defective right wrist
 UNCOMPENSATED = {"arm_servos": {"compensation": False}}  # friction and backlash of the arms are not compensated
+PD = {"arm_control": "pd"}  # the thesis' control of the arms (5.3.1)
 ARM, NECK = "right_arm", "neck"
 POSES = ("forward", "home", "side", "home", "up", "home", "fold", "home")
 TURNED = 0.4  # last joint of the wrist in poses other than home, which no preset rotates [rad]
@@ -48,12 +49,12 @@ def real_arms(run: Run) -> str | None:
     return REAL_ARMS if REAL_ARMS in RobotDescription.load(robot_folder(run.options.robot)).tables.actuators else None
 
 
-def variant(robot: str, changes: Mapping[str, Mapping[str, Any]], folder: Path) -> Path:
+def variant(robot: str, changes: Mapping[str, Any], folder: Path) -> Path:
     """Copy a robot and change its tables.
 
     Args:
         robot: a name of robots/, or a folder.
-        changes: values by key, by table of robot.yaml.
+        changes: values of robot.yaml by key; of a table, those to change.
         folder: of the copy; an existing one is replaced.
 
     Returns:
@@ -64,7 +65,7 @@ def variant(robot: str, changes: Mapping[str, Mapping[str, Any]], folder: Path) 
     file = folder / "robot.yaml"
     tables: Any = Document.load(file).content
     for table, values in changes.items():
-        tables.setdefault(table, {}).update(values)
+        tables[table] = tables.get(table, {}) | values if isinstance(values, Mapping) else values
     file.write_text(yaml.safe_dump(tables, sort_keys=False))
     return folder
 

@@ -40,20 +40,34 @@ def run(run: Run) -> None:
     ]  # fmt: skip
     profile = None if run.options.quick else arm_session.real_arms(run)
     if profile:
-        name = f"{Path(run.options.robot).name}_uncompensated"
-        folder = arm_session.variant(run.options.robot, arm_session.UNCOMPENSATED, run.out / name)
-        _, real, timeline = _session(run, "real_arms", ", with the real robot's arms", profile, folder)
+        folder = arm_session.variant(run.options.robot, arm_session.PD, run.out / f"{Path(run.options.robot).name}_pd")
+        _, real, then = _session(run, "real_arms", ", with the real robot's arms", profile, folder)
         run.text += (
-            f" A second time with the arms as they were (actuators {profile}): friction, play, no gravity "
-            "compensation, and a right wrist yaw that hardly turns, whatever its command; nothing makes up for these."
+            f" A second time with the arms as they were: actuators {profile} with friction, play, and a right wrist "
+            "yaw that hardly turns, whatever its command; and the thesis' untuned PD control without gravity "
+            "compensation (arm_control pd)."
         )
-        *others, wrist = (abs(one.final_error(timeline)) for one in real)
+        _compare(run, {"compensated": (arm, timeline), "pd, real arms": (real, then)})
+        *others, wrist = (abs(one.final_error(then)) for one in real)
+        turned = np.abs(real[-1].command["velocity"].value).max()
         run.measures += [
             Measure("real arms: wrist yaw at rest from its goal", wrist, "rad", "does not turn (hardware)",
                     "the same, by a drive that hardly moves (actuators drc_finals)"),
+            Measure("real arms: wrist yaw's velocity command, largest", float(turned), "rad/s", "high, constant",
+                    "the same, by PD control: it is proportional to an error that stays"),
             Measure("real arms: another joint at rest from its goal, largest", max(others), "rad",
-                    "persistent (hardware)", "the same: play, and weight that only a gravity compensation would carry"),
+                    "persistent (hardware)", "the same: play, and weight that PD control does not compensate"),
         ]  # fmt: skip
+
+
+def _compare(run: Run, series: dict[str, tuple[list[JointSignals], Timeline]]) -> None:
+    """Add a table of the joints' largest offsets at rest, of each series."""
+    rows = [
+        [joints[0].joint, *(f"{1e3 * one.final_error(timeline):+.0f}"
+                            for one, (_, timeline) in zip(joints, series.values(), strict=True))]
+        for joints in zip(*(signals for signals, _ in series.values()), strict=True)
+    ]  # fmt: skip
+    run.tables.append(Table("Steady offset from the goal, largest [mrad]", ["joint", *series], rows))
 
 
 def _session(

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
+from valor.common.arrays import FloatArray
 from valor.common.table import NonNegative, Positive, Table, TableError, require_order
 from valor.devices.kinds import DeviceTable
 from valor.devices.table import Calibration, SupplyLimits
@@ -160,6 +161,18 @@ Presets = dict[str, dict[Side, dict[str, float]]]
 """Name of a posture → side → joint → position."""
 
 
+class ArmPd(Table):
+    """Gains of the arms' PD control (``arm_control: pd``), as little tuned as the thesis' (5.3.1)."""
+
+    gain: Positive = 3.0  # velocity set-point per position error [1/s]
+    damping: NonNegative = 0.1  # velocity set-point per velocity error
+    horizon: Positive = 0.1  # from the measured position to the position set-point, at that velocity [s]
+
+    def stiffness(self, servo_stiffness: FloatArray, servo_damping: FloatArray) -> FloatArray:
+        """Return the torque per position error at rest, of servos with these gains [N·m/rad, N·m·s/rad]."""
+        return self.gain * (self.horizon * servo_stiffness + servo_damping)
+
+
 Section = dict[str, Any]
 """Table that its reader defines and checks; see ``RobotDescription.read``."""
 
@@ -196,6 +209,9 @@ class RobotTables(Table, kw_only=True):
     disturbance: Section = {}
     gains: Section = {}
     arm_servos: Section = {}
+    # Of arms that balance: servos compensated for weight, friction and play, or the thesis' PD control without that.
+    arm_control: Literal["compensated", "pd"] = "compensated"
+    arm_pd: ArmPd = ArmPd()
     weight_factor: Annotated[float, Meta(ge=1)] = 4.0  # largest factor of a task's weight, up or down
     hand_goals: Section = {}
     self_collision: SelfCollision = SelfCollision()

@@ -139,7 +139,8 @@ class ServoCompensation:
     def __init__(self, robot: RobotDescription, motors: MotorCommand) -> None:
         arms = [robot.group_indices(group) for group in ("left_arm", "right_arm") if robot.tables.group(group)]
         indices = np.sort(np.concatenate(arms)) if arms else np.zeros(0, dtype=np.intp)
-        compensated = motors.impedance[indices] & robot.read(Tuning).arm_servos.compensation
+        wanted = robot.read(Tuning).arm_servos.compensation and robot.tables.arm_control == "compensated"
+        compensated = motors.impedance[indices] & wanted
         self.joints = indices[compensated]  # (m,) their indices in every joint vector
         first, m = (int(self.joints[0]), len(self.joints)) if self.joints.size else (0, 0)
         contiguous = np.array_equal(self.joints, np.arange(first, first + m))

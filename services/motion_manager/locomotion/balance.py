@@ -58,6 +58,8 @@ class BalanceControl:
         )
         fraction = min(1.0, (now - self._blend_start) / BLEND)
         offsets = components.servos.offsets(state, command, dt, complete=fraction >= 1.0)
+        if components.arm_pd is not None:
+            offsets = components.arm_pd.apply(state, command)
         effort = components.posture.effort(now) if fraction < 1.0 else self._no_effort
         motors.balance(command, place, rate, effort, fraction, offsets=offsets, held=frozen)
         self._failures = self._failures + 1 if command.qp_status is QpStatus.INFEASIBLE else 0
