@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -53,13 +55,16 @@ def test_what_is_refused_is_told_why() -> None:
     assert dancer.freeze("left_arm", "neck").accepted and dancer.manager.report().left_arm == "frozen"
     assert not dancer.ask(Behavior.STAND_MANIPULATE)
     dancer.run(0.1)
-    for handler, message in (
-        (dancer.setpoints, dancer.setpoint("left_arm")),
-        (HandGoalHandler(components), HandGoal(0, 0, True, "pelvis", np.zeros(3), np.zeros(4))),
-        (JointGainsHandler(components), JointGains(ROBOT.tables.groups["left_arm"], np.ones(7), np.ones(7))),
+    heard = (0, 1, "a client")
+    goal = Received(HandGoal(0, 0, True, "pelvis", np.zeros(3), np.zeros(4)), *heard)
+    gains = Received(JointGains(ROBOT.tables.groups["left_arm"], np.ones(7), np.ones(7)), *heard)
+    for handle in (
+        partial(dancer.setpoints.handle, Received(dancer.setpoint("left_arm"), *heard)),
+        partial(HandGoalHandler(components).handle, goal),
+        partial(JointGainsHandler(components).handle, gains),
     ):
         components.rejections.take()
-        assert not handler.handle(Received(message, 0, 1, "a client"), dancer.manager.time)
+        assert not handle(dancer.manager.time)
         assert components.rejections.take()[-1].reason == "left_arm is frozen"
     # In Stand the other arm moves home, and this one once it is released.
     left, right = JOINTS["left_arm"], JOINTS["right_arm"]
