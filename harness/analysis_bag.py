@@ -113,6 +113,7 @@ def _messages(
     yield PROPRIOCEPTOR, Proprioceptor(
         time=time, sequence=k + 1, motor_sequence=k, joint_position=hung.position, joint_velocity=hung.velocity,
         joint_effort=hung.effort, imu_orientation=base[3:], imu_angular_velocity=none, imu_linear_acceleration=none,
+        kvh_angular_velocity=np.zeros(0), kvh_linear_acceleration=np.zeros(0),
         left_foot_wrench=wrench, right_foot_wrench=wrench, left_hand_wrench=wrench, right_hand_wrench=wrench,
         battery_voltage=48.0, motor_behavior="stand",
     )  # fmt: skip

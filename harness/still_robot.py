@@ -44,6 +44,7 @@ class Robot:
             "joint_position": ROBOT.nominal_posture.copy(), "joint_velocity": np.zeros(N), "joint_effort": np.zeros(N),
             "imu_orientation": tilted(0.0), "imu_angular_velocity": np.zeros(3),
             "imu_linear_acceleration": np.array([0.0, 0.0, 9.81]),
+            "kvh_angular_velocity": np.zeros(0), "kvh_linear_acceleration": np.zeros(0),
             "left_foot_wrench": foot, "right_foot_wrench": foot.copy(),
             "left_hand_wrench": np.zeros(6), "right_hand_wrench": np.zeros(6), "battery_voltage": 48.0,
             "motor_behavior": "",

@@ -349,6 +349,7 @@ class System:
                 joint_position=self.position, joint_velocity=np.zeros(N), joint_effort=np.zeros(N),
                 imu_orientation=np.array([1.0, 0.0, 0.0, 0.0]), imu_angular_velocity=np.zeros(3),
                 imu_linear_acceleration=np.array([0.0, 0.0, 9.81]),
+                kvh_angular_velocity=np.zeros(0), kvh_linear_acceleration=np.zeros(0),
                 left_foot_wrench=nothing, right_foot_wrench=nothing,
                 left_hand_wrench=nothing, right_hand_wrench=nothing, battery_voltage=48.0, motor_behavior="stand",
             )

@@ -61,6 +61,8 @@ class KvhSensor:
     def measure(self, measured: Proprioceptor, hot: bool) -> None:
         self.temperature = HOT if hot else NORMAL
         self.rotation, self.acceleration = measured.imu_angular_velocity, measured.imu_linear_acceleration
+        if measured.kvh_angular_velocity.size:
+            self.rotation, self.acceleration = measured.kvh_angular_velocity, measured.kvh_linear_acceleration
 
     def stream(self, now: float) -> list[bytes]:
         """Message due at ``now`` [s], if any; missed messages advance the sequence number and are not sent."""

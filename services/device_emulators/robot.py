@@ -67,7 +67,8 @@ class SimulatedRobot:
             if not self.released:  # MuJoCo reports free fall; the gantry's support gives -gravity
                 w, x, y, z = self._measured.imu_orientation.tolist()
                 gx, gy, gz = self.plant.model.mj.opt.gravity.tolist()
-                self._measured.imu_linear_acceleration = np.array(rotate(conjugate((w, x, y, z)), (-gx, -gy, -gz)))
+                up = np.array(rotate(conjugate((w, x, y, z)), (-gx, -gy, -gz)))
+                self._measured.imu_linear_acceleration = self._measured.kvh_linear_acceleration = up
         return self._measured
 
     def power(self, joints: Places, on: bool) -> None:

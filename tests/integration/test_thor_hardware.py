@@ -1,7 +1,6 @@
 """THOR on its devices: emulated motor controllers, sensors, Dynamixel arms on real ports; and two IMUs, not one."""
 
 import math
-import shutil
 from collections.abc import Iterator
 
 import pytest
@@ -14,18 +13,12 @@ from valor.robot.description import RobotDescription
 
 ROBOT = RobotDescription.load(ROBOTS / "thor")
 SPEED = 1.0  # of what is commanded [rad/s]
-KVH = '  kvh: { kind: kvh_1750, serial: "1750-0042", rate: 250 }\n'
 NEAR = 0.05  # what trajectory controllers allow a goal [rad]
 
 
 @pytest.fixture(scope="module")
-def thor(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RobotOnDevices]:
-    """With the thesis' second IMU beside its first."""
-    folder = tmp_path_factory.mktemp("robots") / "thor"
-    shutil.copytree(ROBOT.folder, folder)
-    file = folder / "robot.yaml"
-    file.write_text(file.read_text().replace("  neck:\n    kind:", f"{KVH}  neck:\n    kind:"))
-    with on_devices(robot=folder, actuators="hardware") as running:
+def thor() -> Iterator[RobotOnDevices]:
+    with on_devices(robot=ROBOT.folder, actuators="hardware") as running:
         yield RobotOnDevices(running)
 
 
@@ -35,7 +28,7 @@ def test_every_device_is_found_and_the_robot_stands_reaches_and_grasps(thor: Rob
     for name, device in ROBOT.tables.devices.items():
         if isinstance(device, Dynamixel):
             assert [unit for unit in units if unit.startswith(name)] == [f"{name}/{s.joint}" for s in device.servos]
-    assert {unit.split("/")[0] for unit in units} == {*ROBOT.tables.devices, "kvh"}
+    assert {unit.split("/")[0] for unit in units} == {*ROBOT.tables.devices}
     thor.go("stand_manipulate")
     tables = ROBOT.tables
     thor.lead({**tables.arm_presets["forward"]["right"], **tables.hand_presets["close"]["left"]})

@@ -18,16 +18,14 @@ from harness.waiting import some, wait_until
 from valor.comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
 from valor.comms_manager.hardware.microstrain import MicroStrain
 from valor.device_emulators.emulator import EmulatedFault
-from valor.devices.kvh import Kvh1750
 from valor.robot.description import RobotDescription
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
-DEVICES = {**ESCHER.tables.devices, "kvh": Kvh1750(serial="1750-0042", rate=250)}
 
 
 def altered(name: str, **keys: object) -> RobotDescription:
-    """ESCHER with a KVH beside its IMU, and other values in the table of one of the two."""
-    devices = {**DEVICES, name: replace(DEVICES[name], **keys)}
+    """ESCHER with other values in the table of one of its IMUs."""
+    devices = {**ESCHER.tables.devices, name: replace(ESCHER.tables.devices[name], **keys)}
     return RobotDescription(ESCHER.folder, replace(ESCHER.tables, devices=devices))
 
 

@@ -37,7 +37,7 @@ def test_wrenches_belong_to_their_places() -> None:
 
 def test_what_none_or_two_provide_is_reported() -> None:
     devices = {**ROBOT.tables.devices, "twice": ROBOT.tables.devices["force_torque"]}
-    del devices["imu"], devices["neck"]
+    del devices["imu"], devices["kvh"], devices["neck"]
     robot = RobotDescription(ROBOT.folder, structs.replace(ROBOT.tables, devices=devices))
     with pytest.raises(ConfigurationError) as raised:
         robot.require_devices()

@@ -8,6 +8,7 @@ from harness.motion_states import motor
 from harness.places import ROBOTS
 from valor.common.errors import ConfigurationError
 from valor.common.messages import JointMode, Proprioceptor
+from valor.devices.kvh import BIASES, DENSITIES
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 from valor.robot.tables import SensorNoise
@@ -161,6 +162,24 @@ def test_noise_has_the_deviation_of_its_table() -> None:
     orientations = np.array([sample.imu_orientation for sample in samples])
     np.testing.assert_allclose(np.linalg.norm(orientations, axis=1), 1.0)
     assert 2 * orientations[:, 1:].std(axis=0).mean() == pytest.approx(noise.orientation, rel=0.1)
+
+
+def test_the_second_imu_has_the_noise_of_its_makers_data_and_its_own_place() -> None:
+    """Turned about the pelvis' z, it is drawn outwards 0.04 m behind the first; its noise leaves the others' alone."""
+    robot = plant("ideal")
+    robot.data.qvel[5] = 2.0
+    mujoco.mj_forward(robot.model.mj, robot.data)
+    ideal = sensors(robot).measure(1, 1)
+    np.testing.assert_allclose(ideal.kvh_angular_velocity, (0.0, 0.0, 2.0), atol=1e-12)
+    drawn = (ideal.kvh_linear_acceleration - ideal.imu_linear_acceleration)[0]
+    assert drawn == pytest.approx(0.04 * 2.0**2, rel=1e-6)
+    devices = sensors(robot, "hardware", seed=1)
+    samples = [devices.measure(k, k) for k in range(600)]
+    for read, density, bias in zip(("kvh_angular_velocity", "kvh_linear_acceleration"), DENSITIES, BIASES, strict=True):
+        values = np.array([getattr(sample, read) - getattr(ideal, read) for sample in samples])
+        expected = density * ROBOT.tables.control_rate**0.5
+        assert values.std(axis=0).mean() == pytest.approx(expected, rel=0.1)
+        assert 0.0 < np.abs(values.mean(axis=0)).max() < 4.0 * (bias + expected / len(samples) ** 0.5)
 
 
 def test_encoders_have_a_resolution_and_the_imu_a_bias() -> None:

@@ -88,6 +88,10 @@ def check(topics: Topics, sense: Proprioceptor, motion: MotionState) -> None:
         same((quaternion(imu.orientation), sense.imu_orientation))
         same((vector(imu.angular_velocity), sense.imu_angular_velocity))
         same((vector(imu.linear_acceleration), sense.imu_linear_acceleration))
+    if (kvh := topics.new("imu/kvh/data_raw")) is not None:
+        same((vector(kvh.angular_velocity), sense.kvh_angular_velocity))
+        same((vector(kvh.linear_acceleration), sense.kvh_linear_acceleration))
+        assert kvh.header.frame_id == "kvh_link" and kvh.orientation_covariance[0] == -1.0, "REP-145"
     for limb, wrench in (
         ("l_foot", sense.left_foot_wrench),
         ("r_foot", sense.right_foot_wrench),
@@ -120,8 +124,8 @@ def test_every_number_stands_where_it_belongs_and_comes_at_its_rate() -> None:
     some = random.standard_normal
     for cycle in range(CYCLES):
         stamp.sec, stamp.nanosec = cycle, 7 * cycle
-        joints, wrenches = (some(N) for _ in range(3)), (some(6) for _ in range(4))
-        hw.measured = sense = Proprioceptor(1, 1, 1, *joints, some(4), some(3), some(3), *wrenches, 47.5, "stand")  # type: ignore[arg-type, call-arg]
+        joints, inertia, wrenches = (some((count, size)) for count, size in ((3, N), (4, 3), (4, 6)))
+        hw.measured = sense = Proprioceptor(1, 1, 1, *joints, some(4), *inertia, *wrenches, 47.5, "stand")  # type: ignore[call-arg]
         hw.motion = motion = motion_state(
             heading=YAW,
             pelvis_position_in_odom=some(3),

@@ -19,11 +19,13 @@ class Quantity(Flag):
 
     JOINT_STATE = auto()  # of joints that it moves by commands
     ATTITUDE = auto()  # with angular velocity and specific force, in the robot's frame of the IMU
+    INERTIA = auto()  # angular velocity and specific force of the second IMU
     WRENCH = auto()  # at feet and hands
     TIME = auto()  # a clock that can be the robot's
 
 
-JOINT_STATE, ATTITUDE, WRENCH, TIME = Quantity.JOINT_STATE, Quantity.ATTITUDE, Quantity.WRENCH, Quantity.TIME
+JOINT_STATE, ATTITUDE, INERTIA = Quantity.JOINT_STATE, Quantity.ATTITUDE, Quantity.INERTIA
+WRENCH, TIME = Quantity.WRENCH, Quantity.TIME
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ _ROWS = (
     Kind(SeaCanFd,       JOINT_STATE | TIME, "series_elastic:SeriesElastic", "can_devices:SeriesElasticEmulator"),
     Kind(FtCan,          WRENCH,             "can_device:ForceTorque",       "can_devices:ForceTorqueEmulator"),
     Kind(MicroStrainMip, ATTITUDE,           "microstrain:MicroStrain",      "microstrain:MicroStrainEmulator"),
-    Kind(Kvh1750,        ATTITUDE,           "kvh:Kvh",                      "kvh:KvhEmulator"),
+    Kind(Kvh1750,        ATTITUDE | INERTIA, "kvh:Kvh",                      "kvh:KvhEmulator"),
     Kind(Dynamixel,      JOINT_STATE,        "dynamixel:DynamixelServos",    "dynamixel:DynamixelEmulator"),
     Kind(HdtBifrost,     JOINT_STATE,        "hdt:Hdt",                      "hdt_modules:HdtModules"),
 )

@@ -14,6 +14,7 @@ response when configuration mode ends. The CRC is CRC-32/MPEG-2: polynomial 0x04
 significant bit first.
 """
 
+from math import radians
 from struct import Struct
 from typing import Annotated, Literal
 
@@ -31,6 +32,11 @@ VALID = 0b0111_0111  # status of valid gyroscopes (bits 0 to 2) and acceleromete
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 RATES = (1, 5, 10, 25, 50, 100, 250, 500, 750, 1000)  # [Hz]
 WARMEST = 75.0  # limit of its use [°C]
+# Its maker's data sheet: angle random walk 0.013 °/√h, bias instability 0.1 °/h; 0.12 mg/√Hz and 0.05 mg with ± 10 g.
+DENSITIES = radians(0.013) / 60.0, 0.12e-3 * STANDARD_GRAVITY
+"""Noise densities of rate [rad/s/√Hz] and specific force [m/s²/√Hz]."""
+BIASES = radians(0.1) / 3600.0, 0.05e-3 * STANDARD_GRAVITY
+"""Standard deviations of the biases [rad/s, m/s²]."""
 
 
 class Kvh1750(Device, tag="kvh_1750"):

@@ -39,7 +39,7 @@ def read(robot: RobotDescription) -> KinematicTree:
     tables = robot.tables
     base = tables.base
     measured = {tables.imu.site, tables.feet.left.sole, tables.feet.right.sole}
-    measured |= {hand.site for _, hand in tables.hands.present()}
+    measured |= {hand.site for _, hand in tables.hands.present()} | ({tables.kvh.site} if tables.kvh else set())
     named = set(tables.link_frames.values()) | measured
     links = []
     for i in range(1, mj.nbody):

@@ -105,7 +105,7 @@ class Hands(Table):
 
 
 class Imu(Table):
-    """Pelvis IMU."""
+    """IMU on the pelvis."""
 
     site: str
 
@@ -189,7 +189,8 @@ class RobotTables(Table, kw_only=True):
     base: str  # floating body, the pelvis
     chest: str  # body that pushes act on and whose orientation is controlled
     head: str | None = None
-    imu: Imu
+    imu: Imu  # of the estimate
+    kvh: Imu | None = None  # second IMU, a KVH 1750
     lidar: Lidar | None = None
     feet: Feet
     hands: Hands = Hands()

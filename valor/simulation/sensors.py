@@ -1,4 +1,6 @@
-"""Simulated encoders, IMU and force/torque sensors, with noise from one seed."""
+"""Simulated encoders, IMUs and force/torque sensors, with noise from one seed."""
+
+import math
 
 import mujoco
 import numpy as np
@@ -6,6 +8,7 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.messages import Proprioceptor
+from valor.devices.kvh import BIASES, DENSITIES
 from valor.robot.description import RobotDescription
 from valor.robot.tables import SensorNoise
 from valor.simulation.plant import Plant
@@ -42,6 +45,7 @@ class Sensors:
                 *(None if hand is None else (hand.body, hand.site) for hand in (tables.hands.left, tables.hands.right)),
             ],
         )
+        self._kvh = Kvh(robot, plant, noise != SensorNoise(), seed) if tables.kvh else None
         self._rng = np.random.default_rng([seed, 1])
         self._resolution = noise.joint_position_resolution
         deviation = [noise.joint_position] * n + [noise.joint_velocity] * n + [noise.joint_effort] * n
@@ -65,6 +69,7 @@ class Sensors:
         mujoco.mju_rotVecQuat(truth[k : k + 3], self._base_rate, self._imu_in_base * _CONJUGATE)
         truth[k + 3 : k + 6] = self._acceleration[3:]
         truth[k + 6 : k + 30] = self._wrenches.measure().ravel()
+        second = self._kvh.measure() if self._kvh else np.zeros((2, 0))
         self._rng.standard_normal(out=self._noise)
         values = self._noise * self._deviation
         values += truth
@@ -83,6 +88,8 @@ class Sensors:
             imu_orientation=self._orientation(values[-3:]),
             imu_angular_velocity=values[k : k + 3],
             imu_linear_acceleration=values[k + 3 : k + 6],
+            kvh_angular_velocity=second[0],
+            kvh_linear_acceleration=second[1],
             left_foot_wrench=values[k + 6 : k + 12],
             right_foot_wrench=values[k + 12 : k + 18],
             left_hand_wrench=values[k + 18 : k + 24],
@@ -97,6 +104,30 @@ class Sensors:
         mujoco.mju_mulQuat(orientation, self._base_orientation, self._imu_in_base)
         mujoco.mju_quatIntegrate(orientation, error, 1.0)
         return orientation
+
+
+class Kvh:
+    """Second IMU, a KVH 1750 with the noise that its maker states: white, with a bias that is constant in a run."""
+
+    def __init__(self, robot: RobotDescription, plant: Plant, noisy: bool, seed: int) -> None:
+        """``noisy``: False for an ideal sensor."""
+        assert robot.tables.kvh is not None
+        self._plant = plant
+        self._site = plant.model.site(robot.tables.kvh.site)
+        self._to_site = plant.model.mj.site_quat[self._site] * _CONJUGATE
+        self._rng = np.random.default_rng([seed, 2])  # separate: the noise of the other sensors does not depend on it
+        self._deviation = noisy * math.sqrt(robot.tables.control_rate) * np.array(DENSITIES)[:, None]
+        self._bias = noisy * np.array(BIASES)[:, None] * self._rng.standard_normal((2, 3))
+        self._acceleration = np.zeros(6)
+
+    def measure(self) -> FloatArray:
+        """(2, 3) angular velocity and specific force in its axes; call after ``mj_rnePostConstraint``."""
+        mj, data, values = self._plant.model.mj, self._plant.data, np.empty((2, 3))
+        mujoco.mju_rotVecQuat(values[0], data.qvel[3:6], self._to_site)
+        mujoco.mj_objectAcceleration(mj, data, mujoco.mjtObj.mjOBJ_SITE, self._site, self._acceleration, 1)
+        values[1] = self._acceleration[3:]
+        values += self._bias + self._deviation * self._rng.standard_normal((2, 3))
+        return values
 
 
 class WrenchSensors:

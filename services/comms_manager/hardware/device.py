@@ -166,7 +166,7 @@ class Device(ABC):
         joints: (m,) indices of its joints in the joint vectors; empty for sensors.
         places: Proprioceptor's wrenches that it measures, in order.
         records: one per unit, in robot.yaml's order.
-        joint_state, attitude, wrench: latest measurements; None before the first, and for other quantities.
+        joint_state, attitude, inertia, wrench: latest measurements; None before the first, and for other quantities.
             Replaced, never changed.
         unit_faults: present faults, except timeouts. Replaced, never changed; the same object without a change.
         rate: nominal rate of each unit's states [Hz].
@@ -191,6 +191,7 @@ class Device(ABC):
         self.records: tuple[UnitRecord, ...] = ()
         self.joint_state: JointMeasurement | None = None
         self.attitude: ImuMeasurement | None = None
+        self.inertia: ImuMeasurement | None = None  # its orientation may be unknown
         self.wrench: WrenchMeasurement | None = None
         self.unit_faults: tuple[UnitFault, ...] = ()
         self.command: JointCommands | None = None

@@ -1,6 +1,6 @@
 """KVH 1750 inertial measurement unit on a serial port; the driver computes its attitude.
 
-Assumed mounting: at the robot's IMU frame, x axis forward, z axis up; its heading starts at 0.
+Assumed mounting: parallel to the robot's IMU frame, x axis forward, z axis up; its heading starts at 0.
 """
 
 import math
@@ -10,7 +10,7 @@ import zlib
 
 import numpy as np
 
-from valor.common.rotation import Quaternion, Vector, multiply, unit, vertical
+from valor.common.rotation import IDENTITY, Quaternion, Vector, multiply, unit, vertical
 from valor.comms_manager.hardware.condition import Condition, Limits, require_identity
 from valor.comms_manager.hardware.device import DeviceContext, DeviceError, Fault, ImuMeasurement, UnitFault
 from valor.comms_manager.hardware.serial_sensor import ANSWER_TIME, NoAnswerError, SerialSensor
@@ -155,9 +155,11 @@ class Kvh(SerialSensor):
             return False
         self._record.received(stamp)
         self._record.answered(late)
-        if self._filter.orientation is not None:
+        orientation = self._filter.orientation
+        self.inertia = ImuMeasurement(stamp, np.array(orientation or IDENTITY), np.array(rate), np.array(force))
+        if orientation is not None:
             self._oriented = self._came
-            self.attitude = ImuMeasurement(stamp, np.array(self._filter.orientation), np.array(rate), np.array(force))
+            self.attitude = self.inertia
         return True
 
     def _passed(self, sequence: int, now: float) -> int:

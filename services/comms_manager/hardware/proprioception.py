@@ -19,6 +19,7 @@ NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit reports a voltage [V]
 
 FRESH = 20_000_000  # largest age of samples that are compared [ns]
 NOTHING = ImuMeasurement(0, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), np.zeros(3))
+ABSENT = ImuMeasurement(0, NOTHING.orientation, np.zeros(0), np.zeros(0))
 
 
 class AttitudeSource:
@@ -87,6 +88,7 @@ class Proprioception:
         n = len(robot.joints)
         self._moving = providers(devices, Quantity.JOINT_STATE)
         self._feeling = providers(devices, Quantity.WRENCH)
+        self._second = next(iter(providers(devices, Quantity.INERTIA)), None)
         self._attitude = AttitudeSource(providers(devices, Quantity.ATTITUDE))
         self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.zeros(n)  # [rad, rad/s, N·m]
         self._wrenches = {place: np.zeros(6) for place in get_args(WrenchPlace)}
@@ -103,7 +105,7 @@ class Proprioception:
         for device in self._feeling:
             if (felt := device.wrench) is not None:
                 self._wrenches.update(zip(device.places, felt.wrench, strict=True))
-        attitude = self._attitude.measure(primary)
+        attitude, second = self._attitude.measure(primary), self._second_imu()
         return Proprioceptor(
             time=time,
             sequence=sequence,
@@ -114,10 +116,19 @@ class Proprioception:
             imu_orientation=attitude.orientation,
             imu_angular_velocity=attitude.angular_velocity,
             imu_linear_acceleration=attitude.linear_acceleration,
+            kvh_angular_velocity=second.angular_velocity,
+            kvh_linear_acceleration=second.linear_acceleration,
             **{f"{place}_wrench": wrench for place, wrench in self._wrenches.items()},
             battery_voltage=self._voltage,
             motor_behavior="",
         )
+
+    def _second_imu(self) -> ImuMeasurement:
+        """Sample of the second IMU; without vectors if it has none, or is silent."""
+        imu = self._second
+        if imu is None or imu.inertia is None or time.monotonic_ns() - imu.inertia.stamp > 1e9 * imu.silent_after:
+            return ABSENT
+        return imu.inertia
 
     def update_voltage(self) -> None:
         """Update the battery voltage: the lowest one reported by a unit that moves joints."""

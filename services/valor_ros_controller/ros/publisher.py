@@ -19,6 +19,7 @@ from tf2_msgs.msg import TFMessage
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
 from valor.common.rotation import conjugate, rotate
+from valor.devices.kvh import DENSITIES
 from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
 from valor.robot.tables import SensorNoise
@@ -45,6 +46,7 @@ PUBLICATIONS: Mapping[str, Publication] = {
     "clock": Publication(("clock",), 250.0),  # in simulation
     "joints": Publication(("joint_states",), 250.0),
     "imu": Publication(("imu/data",), 250.0),
+    "kvh": Publication(("imu/kvh/data_raw",), 250.0),  # by REP-145: without an attitude
     "wrenches": Publication(tuple(WRENCH.format(limb) for limb in FEET + HANDS), 125.0),
     "pelvis": Publication(("flor/state/pelvis_pose_world", "odom"), 125.0),
     "transforms": Publication(("/tf",), 50.0),
@@ -87,6 +89,17 @@ def _imu(frame: str, noise: SensorNoise) -> Imu:
     message.orientation_covariance = _diagonal((noise.orientation**2,) * 3)
     message.angular_velocity_covariance = _diagonal((noise.gyroscope**2,) * 3)
     message.linear_acceleration_covariance = _diagonal((noise.accelerometer**2,) * 3)
+    return message
+
+
+def _kvh(frame: str, rate: float) -> Imu:
+    """``rate``: of the samples [Hz]. Its orientation is unknown."""
+    message = _stamped(Imu, frame)
+    _mark_vector(message.angular_velocity, 0)
+    _mark_vector(message.linear_acceleration, 3)
+    message.orientation_covariance[0] = -1.0
+    gyroscope, accelerometer = (_diagonal((rate * density**2,) * 3) for density in DENSITIES)
+    message.angular_velocity_covariance, message.linear_acceleration_covariance = gyroscope, accelerometer
     return message
 
 
@@ -155,8 +168,8 @@ class Publisher:
             return PreparedPublisher(node, topic, message, count, stamp=stamp, queue=QUEUE)
 
         tables = robot.tables
-        (joints_topic,), (imu_topic,), (pose_topic, odom_topic) = (
-            PUBLICATIONS[name].topics for name in ("joints", "imu", "pelvis")
+        (joints_topic,), (imu_topic,), (kvh_topic,), (pose_topic, odom_topic) = (
+            PUBLICATIONS[name].topics for name in ("joints", "imu", "kvh", "pelvis")
         )
         noise = max((profile.noise for profile in tables.actuators.values()), key=lambda noise: noise.gyroscope)
         self._cycle = 0
@@ -166,6 +179,10 @@ class Publisher:
         self._joints = prepared(joints_topic, _joint_states(robot), 3 * len(robot.joints))
         self._joint_vectors = self._joints.values.reshape(3, -1)
         self._imu = prepared(imu_topic, _imu(prefix + tree.frame_of(tables.imu.site), noise), 10)
+        self._kvh = None
+        if tables.kvh:
+            frame = prefix + tree.frame_of(tables.kvh.site)
+            self._kvh = prepared(kvh_topic, _kvh(frame, tables.control_rate), 6)
         hands = (hand.site if hand else None for hand in (tables.hands.left, tables.hands.right))
         sites = (tables.feet.left.sole, tables.feet.right.sole, *hands)
         self._wrenches = [
@@ -191,6 +208,7 @@ class Publisher:
         offsets: dict[int, int] = {}  # by number of cycles between publications
         for name, publish in (
             ("imu", self._publish_imu),
+            ("kvh", self._publish_kvh),
             ("wrenches", self._publish_wrenches),
             ("pelvis", self._publish_pelvis),
             ("transforms", self._publish_transforms),
@@ -225,6 +243,13 @@ class Publisher:
         values[4:7] = measured.imu_angular_velocity
         values[7:] = measured.imu_linear_acceleration
         self._imu.publish()
+
+    def _publish_kvh(self, hw: ValorEscherHWInterface) -> None:
+        measured = _measured(hw)
+        if self._kvh is not None and measured.kvh_angular_velocity.size:
+            self._kvh.values[:3] = measured.kvh_angular_velocity
+            self._kvh.values[3:] = measured.kvh_linear_acceleration
+            self._kvh.publish()
 
     def _publish_wrenches(self, hw: ValorEscherHWInterface) -> None:
         for publisher, field in self._wrenches:

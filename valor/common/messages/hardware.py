@@ -26,6 +26,8 @@ class Proprioceptor(Message):
     imu_orientation: Float64Array  # (4,) pelvis IMU in world; heading drifts on hardware
     imu_angular_velocity: Float64Array  # (3,) in IMU [rad/s]
     imu_linear_acceleration: Float64Array  # (3,) in IMU, specific force [m/s²]
+    kvh_angular_velocity: Float64Array  # (3,) in the second IMU [rad/s]; (0,): no sample
+    kvh_linear_acceleration: Float64Array  # (3,) in the second IMU, specific force [m/s²]; (0,): no sample
     left_foot_wrench: Float64Array  # (6,) in sole
     right_foot_wrench: Float64Array  # (6,) in sole
     left_hand_wrench: Float64Array  # (6,) in hand

@@ -24,9 +24,10 @@ SIZE_TOLERANCE = 0.03  # largest relative difference of size from the model's
 
 
 def sites_are_on_their_bodies(stance: Stance) -> Iterator[TableError]:
-    """Check that each sole is on its foot, each hand site on its hand and the IMU on the base."""
+    """Check that each sole is on its foot, each hand site on its hand and each IMU on the base."""
     tables, mj = stance.robot.tables, stance.model.mj
     wanted: list[tuple[tuple[str, ...], str, str]] = [(("imu", "site"), tables.imu.site, tables.base)]
+    wanted += [] if tables.kvh is None else [(("kvh", "site"), tables.kvh.site, tables.base)]
     feet = [(side, stance.foot(side)) for side in SIDES]
     wanted += [(("feet", side, "sole"), foot.sole, foot.body) for side, foot in feet]
     wanted += [(("hands", side, "site"), hand.site, hand.body) for side, hand in tables.hands.present()]

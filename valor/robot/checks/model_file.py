@@ -117,6 +117,7 @@ def _unknown_names(robot: RobotDescription, spec: mujoco.MjSpec) -> Iterator[Con
         ("body", ("chest",), tables.chest),
         ("site", ("imu", "site"), tables.imu.site),
     ]
+    named += [] if tables.kvh is None else [("site", ("kvh", "site"), tables.kvh.site)]
     named += [] if tables.head is None else [("body", ("head",), tables.head)]
     named += [] if tables.lidar is None else [("body", ("lidar", "body"), tables.lidar.body)]
     for side, foot in (("left", tables.feet.left), ("right", tables.feet.right)):
