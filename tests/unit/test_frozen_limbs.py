@@ -26,7 +26,7 @@ def test_whatever_is_frozen_stays_and_the_rest_goes_on(path: list[Behavior]) -> 
     dancer.run(2.0)
     most = 1.5 * dancer.watch(3.2)[:, 1].max(axis=0) + 0.01
 
-    @examples(6)
+    @examples(3)
     @given(st.sets(st.sampled_from(LIMBS), min_size=1), st.floats(0.01, 3.0))
     def goes_on(limbs: set[str], after: float) -> None:
         before, x = dancer.watch(after), dancer.plant.data.qpos[0]
@@ -39,7 +39,7 @@ def test_whatever_is_frozen_stays_and_the_rest_goes_on(path: list[Behavior]) -> 
         assert dancer.freeze("none").accepted
         after_all = dancer.watch(1.0)
         commanded = np.concatenate((before, braking, rest, after_all))[:, 2]
-        assert (np.abs(np.diff(commanded, axis=0)) <= ROBOT.velocity_limit * ROBOT.control_period).all()
+        assert (np.abs(np.diff(commanded, axis=0)) <= ROBOT.velocity_limit * ROBOT.control_period + 1e-9).all()
         assert (after_all[-1, 1] < most).all(), "a released limb does not follow"
         assert dancer.behavior is path[-1] and (len(path) == 1 or dancer.plant.data.qpos[0] - x > 0.6)
 
