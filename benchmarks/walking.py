@@ -369,7 +369,7 @@ def main() -> None:
     parser.add_argument("--rows", nargs="+", choices=list(ROWS), metavar="ROW", help=", ".join(ROWS))
     parser.add_argument("--seeds", type=int, nargs="+", help="instead of each row's number of them")
     parser.add_argument("--quick", action="store_true", help="few rows, one seed, some seconds or metres each")
-    parser.add_argument("--actuators", default="hardware", choices=("ideal", "hardware"))
+    parser.add_argument("--actuators", default="hardware", choices=("ideal", "hardware", "series_elastic"))
     parser.add_argument("--clock", default="lockstep", choices=("lockstep", "realtime"))
     options = parser.parse_args()
     runs: list[Run] = []

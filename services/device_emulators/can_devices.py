@@ -20,7 +20,7 @@ WATCHDOG = 0.1  # age of the last command at which a controller holds its joints
 JUMP = 0.5  # of the first axis' encoder, in the fault [rad]
 WARM, HOT = 30.0, 90.0  # normal, and in the fault [°C]
 SUPPLY, WEAK_SUPPLY = 48.0, 40.0  # likewise [V]
-TORQUE_PER_CURRENT = 12.0  # at the joint [N·m/A]
+TORQUE_PER_CURRENT = 12.0  # of the motor, at the joint [N·m/A]
 
 _SENSOR_FAULTS = ALL_FAULTS - {EmulatedFault.ENCODER_JUMP, EmulatedFault.UNDER_VOLTAGE}
 
@@ -149,9 +149,10 @@ class SeriesElasticEmulator(CanEmulator):
         position = measured.joint_position[controller.joints] + self._offset(controller, now)
         velocity = measured.joint_velocity[controller.joints]
         torque = measured.joint_effort[controller.joints]
+        current = robot.plant.actuators.drive[controller.joints] / TORQUE_PER_CURRENT
         axes: list[float] = []
         for k in range(position.size):
-            axes += (float(position[k]), float(velocity[k]), float(torque[k]), float(torque[k]) / TORQUE_PER_CURRENT)
+            axes += (float(position[k]), float(velocity[k]), float(torque[k]), float(current[k]))
         axes += [0.0] * (4 * can_frames.AXES - len(axes))
         hot = fault(controller.name, EmulatedFault.OVER_TEMPERATURE, now)
         weak = fault(controller.name, EmulatedFault.UNDER_VOLTAGE, now)

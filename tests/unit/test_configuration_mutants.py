@@ -90,6 +90,7 @@ feet in one line | r_toe: r_toe\n | …walking: { step_width: 0.05 }\n | walking
 feet on each other | footsteps: {} | footsteps: { min_width: 0.05 } | footsteps.min_width | soles touch
 the least above the most | footsteps: {} | footsteps: { min_width: 1.5 } | footsteps.min_width | less than max_width
 kept farther apart than they are | self_collision:\n | …  distance: 0.06\n  near: 0.1\n | self_collision.distance | 0.05
+a spring of nobody | { l_hip_yaw: 2, | { l_hip: 2, | actuators.series_elastic.springs.actuators.l_hip | whose armature
 gears of nobody | left_arm: &hdt | left_wing: &hdt | actuators.hdt_arms.gears.left_wing |
 two with one id | { id: 2, at: right_foot | { id: 1, at: right_foot | devices.force_torque.sensors.1.id |
 a joint on two drives | axes: [waist_yaw] | axes: [l_hip_yaw] | devices.legs | drives as well

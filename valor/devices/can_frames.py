@@ -2,7 +2,8 @@
 
 Once a control period the master broadcasts SYNC; every unit samples then and answers with one STATE, which carries the
 counter. Each motor controller then receives one COMMAND. REQUEST and REPLY serve identity and motor power. Numbers are
-little-endian; every frame ends with the checksum over identifier and content; COMMAND and STATE are padded to 48 B::
+little-endian; every frame ends with the checksum over identifier and content; COMMAND and STATE are padded to 48 B.
+The torque is the spring's, by its load cell; the current is the motor's::
 
     SYNC      0x080        counter u8, –                                                                     4 B
     COMMAND   0x100 + id   sequence u16, modes u8 × 2, axes × (position, velocity, effort, stiffness,

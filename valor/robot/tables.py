@@ -141,6 +141,17 @@ class Gear(Table):
     strength: Annotated[float, Meta(ge=0, le=1)] = 1.0  # share of the motor's torque that reaches the joint
 
 
+class Springs(Table, kw_only=True):
+    """Linear series-elastic actuators and their device's force loop. The joint's ``armature`` is the motors'."""
+
+    stiffness: Positive  # of an actuator's spring [N/m]
+    force: Positive  # largest of an actuator [N]; its arm is the joint's effort limit by the force of all its actuators
+    # Joint → number of actuators in parallel.
+    actuators: Annotated[dict[str, Annotated[int, Meta(ge=1)]], Meta(min_length=1)]
+    bandwidth: Annotated[float, Meta(gt=0, le=100)]  # of the force loop with the joint locked [Hz]
+    observer: Annotated[float, Meta(ge=0, le=100)]  # of its disturbance observer [Hz]
+
+
 class ActuatorProfile(Table):
     """Differences of the simulated plant from the controller's model."""
 
@@ -151,6 +162,7 @@ class ActuatorProfile(Table):
     delay: Lag = 0.0  # of commands [s]
     backlash: NonNegative = 0.0  # of position-controlled and impedance-controlled joints, peak to peak [rad]
     gears: dict[str, Gear] = {}  # by joint or group; a joint's entry has precedence
+    springs: Springs | None = None  # None: motors turn the joints themselves
     noise: SensorNoise = SensorNoise()
 
 

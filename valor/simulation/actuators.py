@@ -13,6 +13,7 @@ from valor.common.messages import JointMode, Motor
 from valor.devices.dynamixel import Dynamixel
 from valor.robot.description import RobotDescription
 from valor.robot.tables import ActuatorProfile, Gear
+from valor.simulation.springs import SeriesElastic
 
 
 @dataclass(frozen=True)
@@ -67,12 +68,13 @@ class Actuators:
                                                   effort only if the device applies it
         u = clip(u, ±effort limit), 0 if it accelerates a joint above its velocity limit
         u ← strength·u                            a weakened motor
-        τ ← τ + (1 − exp(−dt/T))·(u − τ)          first-order lag of time constant T
+        τ ← τ + (1 − exp(−dt/T))·(u − τ)          first-order lag of time constant T; with a spring, SeriesElastic
 
     Coulomb friction is part of the plant, where MuJoCo solves for it.
 
     Attributes:
         effort: (n,) acting on the joints [N·m].
+        elastic: the joints with springs; None if the profile has none.
         motor_sequence: of the active Motor; 0 before the first.
     """
 
@@ -93,6 +95,9 @@ class Actuators:
         self._feed_forward = gears.feed_forward
         self._strength, self._is_weak = gears.strength, bool((gears.strength < 1.0).any())
         self._gain = 1.0 - math.exp(-step / profile.torque_lag) if profile.torque_lag > 0 else 1.0
+        noise = profile.noise.joint_effort
+        springs = profile.springs
+        self.elastic = None if springs is None else SeriesElastic(robot, springs, gears.friction, noise, step)
         self._highest, self._lowest = robot.effort_limit, -robot.effort_limit
         self._velocity_limit = robot.velocity_limit
         self._modes = b""
@@ -105,6 +110,14 @@ class Actuators:
     @property
     def motor_sequence(self) -> int:
         return self._command.sequence
+
+    @property
+    def drive(self) -> FloatArray:
+        """(n,) torques of the motors, a copy [N·m]; with a spring another than the joint's."""
+        drive = self.effort.copy()
+        if self.elastic is not None:
+            drive[self.elastic.joints] = self.elastic.drive
+        return drive
 
     def obey(self, motor: Motor) -> None:
         """Apply a valid Motor; set-points are clamped to the joints' limits."""
@@ -172,9 +185,13 @@ class Actuators:
             wanted[(error > self._velocity_limit) & (wanted * velocity > 0)] = 0.0
         if self._is_weak:
             wanted *= self._strength
+        if (elastic := self.elastic) is not None:
+            elastic.update(wanted, velocity)
         wanted -= self.effort
         wanted *= self._gain
         self.effort += wanted
+        if elastic is not None:
+            self.effort[elastic.joints] = elastic.torque
         return self.effort
 
     def _lead(self, position: FloatArray) -> FloatArray:

@@ -49,6 +49,10 @@ class Plant:
         mj.dof_frictionloss[self.model.dof] = gears.friction
         # MuJoCo's friction is soft: a light joint under load creeps by 0.1 rad/s.
         mj.dof_solimp[np.arange(mj.nv)[self.model.dof][gears.sticks], :2] = _HARD
+        self.actuators = Actuators(robot, table, mj.opt.timestep, spins)
+        if elastic := self.actuators.elastic:  # inertia and friction of its motors are behind the springs
+            sprung = np.arange(mj.nv)[self.model.dof][elastic.joints]
+            mj.dof_armature[sprung] = mj.dof_frictionloss[sprung] = 0.0
         # Divergence must be an error, not a reset.
         mj.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         # One robot is one island, and each contact moves few of its joints: a step takes a fifth less time.
@@ -58,7 +62,6 @@ class Plant:
         mujoco.mj_setConst(mj, self.data)
         self.data.qpos[:] = self.model.nominal_qpos()
         mujoco.mj_forward(mj, self.data)
-        self.actuators = Actuators(robot, table, mj.opt.timestep, spins)
         self._spinning = [int(mj.joint(robot.joints[i]).qposadr[0]) for i in self.actuators.spinning]
         self._fixtures = worlds.joints(mj)
         self._chest = self._pushed_body = self.model.body(robot.tables.chest)

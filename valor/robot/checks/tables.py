@@ -70,7 +70,7 @@ def _posture(
 
 
 def names_exist(tables: RobotTables) -> Iterator[TableError]:
-    """Check that encoder offsets and gears name existing joints or groups, and passive joints have no drive."""
+    """Check that encoder offsets, gears and springs name existing joints, and passive joints have no drive."""
     for name in tables.calibration.offsets:
         if name not in tables.joints:
             yield TableError(("calibration", "offsets", name), "unknown joint; expected one of joints")
@@ -78,6 +78,10 @@ def names_exist(tables: RobotTables) -> Iterator[TableError]:
         for name in actuators.gears:
             if name not in tables.joints and name not in tables.groups:
                 yield TableError(("actuators", profile, "gears", name), "expected one of joints or groups")
+        for name in () if actuators.springs is None else actuators.springs.actuators:
+            if name not in tables.joints or not tables.joints[name].armature:
+                what = "expected one of joints, whose armature is the motor's inertia, above 0"
+                yield TableError(("actuators", profile, "springs", "actuators", name), what)
     for name in tables.passive:
         if name in tables.joints:
             yield TableError(("passive", name), "is one of joints; expected a hinge without a drive")
