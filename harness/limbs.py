@@ -41,8 +41,9 @@ def cut(robot: RobotDescription, folder: Path, *groups: str) -> RobotDescription
     content["groups"] = {name: members for name, members in members_left.items() if members}
     if content["head"] not in bodies:
         del content["head"]
-    if (content.get("lidar") or {}).get("body") not in bodies:
-        content.pop("lidar", None)
+    for sensor in ("lidar", "camera"):
+        if (content.get(sensor) or {}).get("body") not in bodies:
+            content.pop(sensor, None)
     for side in ("left", "right"):
         if content["hands"][side]["body"] not in bodies:
             del content["hands"][side]

@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
 from valor.common.arrays import FloatArray
@@ -17,6 +17,7 @@ from valor.common.poses import Pose
 from valor.common.topics import GROUND_TRUTH, MOTION_STATE
 from valor.lidar.history import GAP, History
 from valor.lidar.scanner import BEAMS, FARTHEST, FIRST, INCREMENT, KNOTS, NEAREST, PERIOD, STEP, Scan, Scanner
+from valor.ros.clouds import cloud, header
 from valor.ros.node import RosSide
 from valor.ros.transforms import ODOM, publish_mount
 from valor.service import Context, quiet_collector
@@ -89,7 +90,7 @@ class LidarService:
         times = start + KNOTS
         configurations = self._true.at(times)
         scan = self._scanner.scan(configurations)
-        self._scans.publish(_message(scan, _header(start, self._frame)))
+        self._scans.publish(_message(scan, header(start, self._frame)))
         if self._sweep.turned(float(configurations[0, self._scanner.spindle])):
             self._clouds.publish(self._sweep.cloud(self._odom))
         if self._estimated.covers(times[0], times[-1]):
@@ -102,7 +103,7 @@ class Sweep:
     def __init__(self) -> None:
         self._half: int | None = None
         self._complete = False  # the first half was met in its middle
-        self._parts = deque[bytes](maxlen=MOST)
+        self._parts = deque[npt.NDArray[np.void]](maxlen=MOST)
         self._last = 0  # begin of the last scan [ns]
 
     def turned(self, roll: float) -> bool:
@@ -120,27 +121,14 @@ class Sweep:
         made = np.empty(len(points), POINT)
         made["x"], made["y"], made["z"] = points.T
         made["index"] = beams
-        self._parts.append(made.tobytes())
+        self._parts.append(made)
         self._last = start
 
     def cloud(self, frame: str) -> PointCloud2:
         """Return all points, and start anew. The stamp is that of the last scan."""
-        data = b"".join(self._parts)
+        points = np.concatenate(self._parts)
         self._parts.clear()
-        fields = [
-            PointField(name=name, offset=4 * i, datatype=PointField.INT32 if i == 3 else PointField.FLOAT32, count=1)
-            for i, name in enumerate(POINT.names or ())
-        ]
-        return PointCloud2(
-            header=_header(self._last, frame), height=1, width=len(data) // POINT.itemsize, fields=fields,
-            point_step=POINT.itemsize, row_step=len(data), data=array.array("B", data), is_dense=True,
-        )  # fmt: skip
-
-
-def _header(stamp: int, frame: str) -> Header:
-    header = Header(frame_id=frame)
-    header.stamp.sec, header.stamp.nanosec = divmod(stamp, 1_000_000_000)
-    return header
+        return cloud(header(self._last, frame), points)
 
 
 def _message(scan: Scan, header: Header) -> LaserScan:

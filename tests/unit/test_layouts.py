@@ -30,6 +30,7 @@ _PROPERTIES = {
     "PointStamped": {"Topic", "Color", "Radius"},
     "Odometry": {"Topic", "Keep", "Position Tolerance"},
     "PointCloud2": {"Topic", "Style", "Size (Pixels)", "Color Transformer", "Axis"},
+    "Image": {"Topic", "Normalize Range", "Min Value", "Max Value"},
     "LaserScan": {"Topic", "Style", "Size (Pixels)", "Color Transformer", "Color"},
 }
 

@@ -139,7 +139,7 @@ class Link(Table):
     slow: Annotated[int, Meta(ge=0, le=65535)] = 0
     fast: Annotated[int, Meta(ge=0, le=65535)] = 0
     rate: LinkRate = LINK_RATE  # of the slow channel, in both directions together [B/s]
-    picture: str = "camera/image_raw/compressed"  # sensor_msgs/CompressedImage of the robot's view
+    picture: str = "multisense/left/image_rect_color/compressed"  # sensor_msgs/CompressedImage of the robot's view
 
 
 class Settings(Table, kw_only=True):

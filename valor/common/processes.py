@@ -14,8 +14,6 @@ HEAD_CAMERA = "head_camera"
 LIDAR = "lidar"
 VIEW = "--view"
 LINK = "--link"
-CAMERA = "--camera"
-SENSORS = {LIDAR: "--sensors lidar"}  # options of simulated sensors by their name
 SUPERVISED = "VALOR_SUPERVISED"  # environment variable of supervisord and all that it starts
 EXIT_CONFIGURATION = 78  # sysexits' EX_CONFIG: the supervisor does not restart the process
 
@@ -69,10 +67,22 @@ PROCESSES: tuple[Process, ...] = (
     Process("operator_station",     "the view in it, of the robot",           20.0,  300.0, turns="background", option=VIEW),
     Process("link_robot",           "robot's end of the link to the operator", 25.0, 130.0, option=LINK),
     Process("link_operator",        "operator's end of it, in his ROS domain", 25.0, 130.0, option=LINK),
-    Process(HEAD_CAMERA,            "the simulated robot's camera, for ROS 2", 40.0, 250.0, turns="background", option=CAMERA),
-    Process(LIDAR,                  "the simulated robot's rolling lidar, for ROS 2", 20.0, 250.0, turns="background", option=SENSORS[LIDAR]),
+    Process(HEAD_CAMERA,            "the simulated robot's stereo camera, for ROS 2", 60.0, 400.0, turns="background", option="--sensors camera"),
+    Process(LIDAR,                  "the simulated robot's rolling lidar, for ROS 2", 20.0, 250.0, turns="background", option="--sensors lidar"),
     Process(FOXGLOVE,               "ROS topics and a scene, for Foxglove",   20.0,  150.0, turns="background", option="--foxglove"),
 )
 # fmt: on
 
 BY_NAME: dict[str, Process] = {process.name: process for process in PROCESSES}
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Sensor of the robot that only ROS 2 uses, simulated by a process."""
+
+    process: str
+    topic: str  # on ROS 2, on hardware of the maker's driver
+
+
+SENSORS = {"lidar": Sensor(LIDAR, "lidar/scan"), "camera": Sensor(HEAD_CAMERA, "multisense/left/depth")}
+"""By the name in robot.yaml and in ``up --sensors``."""

@@ -26,8 +26,10 @@ class Offscreen:
         self._model = model
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
         self._image: Image = np.zeros((height, width, 3), dtype=np.uint8)
+        self._depth = np.zeros((height, width), dtype=np.float32)
         self._platform = _platform(width, height)
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
         self._option = mujoco.MjvOption()
@@ -47,6 +49,13 @@ class Offscreen:
         mujoco.mjr_render(self._rectangle, self._scene, self._context)
         mujoco.mjr_readPixels(self._image, None, self._rectangle, self._context)
         return self._image[::-1]  # OpenGL's first row is the lowest
+
+    def inverse_depth(self) -> npt.NDArray[np.float32]:
+        """Return (height, width) 1 / depth of the last image's pixels, along the axis of the camera [1/m]."""
+        mujoco.mjr_readPixels(None, self._depth, self._rectangle, self._context)
+        clip, extent = self._model.vis.map, self._model.stat.extent
+        near, far = 1.0 / (clip.znear * extent), 1.0 / (clip.zfar * extent)
+        return np.float32(near - far) * self._depth[::-1] + np.float32(far)
 
     def close(self) -> None:
         """Free the graphics memory."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 from PIL import Image as Pillow
 
 from valor.common.arrays import FloatArray
@@ -145,7 +146,13 @@ class Scene:
             self._light(point)
             mujoco.mj_camlight(model.mj, data)
         image = self._offscreen.render(data, self._camera, marks)
+        if image.shape[:2] == self._size[::-1]:
+            return image  # until the next
         return np.asarray(Pillow.fromarray(image).resize(self._size, Pillow.Resampling.BOX))
+
+    def inverse_depth(self) -> npt.NDArray[np.float32]:
+        """Return 1 / depth of the last image's pixels as drawn, before averaging [1/m]."""
+        return self._offscreen.inverse_depth()
 
     def _light(self, point: FloatArray) -> None:
         """Move the sun to (3,) a point in world [m]."""

@@ -117,6 +117,14 @@ class Lidar(Table):
     position: tuple[float, float, float]  # of the beams' origin in it [m]
 
 
+class Camera(Table):
+    """Multisense S7."""
+
+    body: str  # that carries it
+    position: tuple[float, float, float]  # of the left camera in it [m]
+    pitch: float  # viewing angle below the body's x axis [rad]
+
+
 class SensorNoise(Table):
     """Standard deviations of white noise, and constant biases, of simulated devices."""
 
@@ -204,6 +212,7 @@ class RobotTables(Table, kw_only=True):
     imu: Imu  # of the estimate
     kvh: Imu | None = None  # second IMU, a KVH 1750
     lidar: Lidar | None = None
+    camera: Camera | None = None
     feet: Feet
     hands: Hands = Hands()
     joints: dict[str, Joint]  # in the order of every joint vector

@@ -36,8 +36,8 @@ def port() -> int:
 def system(port: int) -> Iterator[System]:
     """The system; the robot stands."""
     home = Path(tempfile.mkdtemp(prefix="valor-"))
-    options = ["--view", "--camera", "--sensors", "lidar", "--world", "stairs"]
-    options += ["--bag-without", "/camera/*", "--bag-without", "/lidar/*"]
+    options = ["--view", "--sensors", "lidar,camera", "--world", "stairs"]
+    options += ["--bag-without", "/multisense/*", "--bag-without", "/lidar/*"]
     options += ["--foxglove-at", str(port)] if FOXGLOVE else []
     with running("up", home, *options) as system:
         yield system

@@ -26,6 +26,8 @@ def foxgloves(content: dict[str, Any]) -> Iterator[str]:
         yield from foxgloves(part["content"])
     settings = content.get("config", {})
     yield from settings.get("topics", {})
+    image = settings.get("imageMode", {})
+    yield from (image[key] for key in ("imageTopic", "calibrationTopic") if key in image)
     yield from (path["value"] for path in settings.get("paths", []))
     yield from (settings[key] for key in ("topicPath", "topicToRender") if key in settings)
 
@@ -83,6 +85,7 @@ def test_topics_types_and_frames_of_rvizs_are_there(ros: RosClient) -> None:
         "RobotModel": "std_msgs/msg/String", "Wrench": "geometry_msgs/msg/WrenchStamped",
         "PointStamped": "geometry_msgs/msg/PointStamped", "Odometry": "nav_msgs/msg/Odometry",
         "PointCloud2": "sensor_msgs/msg/PointCloud2", "LaserScan": "sensor_msgs/msg/LaserScan",
+        "Image": "sensor_msgs/msg/Image",
     }  # fmt: skip
     manager = yaml.safe_load(example_file("layouts/valor.rviz").read_text())["Visualization Manager"]
     for display in manager["Displays"]:

@@ -120,6 +120,7 @@ def _unknown_names(robot: RobotDescription, spec: mujoco.MjSpec) -> Iterator[Con
     named += [] if tables.kvh is None else [("site", ("kvh", "site"), tables.kvh.site)]
     named += [] if tables.head is None else [("body", ("head",), tables.head)]
     named += [] if tables.lidar is None else [("body", ("lidar", "body"), tables.lidar.body)]
+    named += [] if tables.camera is None else [("body", ("camera", "body"), tables.camera.body)]
     for side, foot in (("left", tables.feet.left), ("right", tables.feet.right)):
         named += [("body", ("feet", side, "body"), foot.body), ("site", ("feet", side, "sole"), foot.sole)]
     for side, hand in tables.hands.present():

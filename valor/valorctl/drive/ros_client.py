@@ -31,9 +31,12 @@ class GoalRefusedError(ValorError):
 class RosClient:
     """A node in the instance's ROS domain and namespace, ``node``. Used from one thread."""
 
-    def __init__(self, instance: Instance, check: Callable[[], None] = lambda: None) -> None:
-        """Create the node; ``check`` is called while waiting. Raises ``ValorError``: ROS commands are rejected."""
-        if refusal := instance.settings().ros_refusal:
+    def __init__(self, instance: Instance, check: Callable[[], None] = lambda: None, *, commands: bool = True) -> None:
+        """Create the node; ``check`` is called while waiting. Raises ``ValorError``: ROS commands are rejected.
+
+        ``commands``: False if the client only receives.
+        """
+        if commands and (refusal := instance.settings().ros_refusal):
             raise ValorError(refusal)
         os.environ.update(instance.environment())  # read by the middleware at its start
         self._check = check

@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,9 +17,10 @@ from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.linking import NAMES, behind, ports_to_robot
 from valor.common.priority import granted, own_core
-from valor.common.processes import PROCESSES
+from valor.common.processes import PROCESSES, SENSORS
 from valor.common.resources import REPAIR
 from valor.drawing import OFFSCREEN
+from valor.robot.description import RobotDescription
 from valor.valorctl.instance import ros_domain, running, supervisor_config
 from valor.valorctl.instance.supervision import Supervisor
 from valor.valorctl.status.health import REPORT_TIMEOUT, Listener
@@ -252,6 +253,34 @@ def _link(instance: Instance) -> Outcome:
     return "ok", text
 
 
+def _sensors(instance: Instance) -> Outcome:
+    """Check whether the sensors' topics arrive: on hardware of all in robot.yaml, in simulation of those requested."""
+    if not instance.settings_file.exists():
+        return "ok", f"{instance.name} is not up"
+    settings = instance.settings()
+    simulated = settings.variant == "simulation"
+    tables = RobotDescription.load(settings.robot).tables
+    topics = [
+        sensor.topic
+        for name, sensor in SENSORS.items()
+        if (sensor.process in settings.asked if simulated else getattr(tables, name) is not None)
+    ]
+    if not topics:
+        return "ok", "none"
+    from valor.valorctl.drive.arrivals import rates
+
+    return arriving(rates(instance, topics), "valorctl logs" if simulated else "start its driver: docs/sensors.md")
+
+
+def arriving(found: Mapping[str, float | None], advice: str) -> Outcome:
+    """Result for topics by name with their rate, None without a publisher [Hz]."""
+    text = ", ".join(
+        f"{topic}: " + ("no publisher" if rate is None else f"{rate:.1f} Hz" if rate else "published, nothing arrives")
+        for topic, rate in found.items()
+    )
+    return ("ok", text) if all(found.values()) else ("warn", text, advice)
+
+
 CHECKS: dict[str, Callable[[Instance], Outcome]] = {
     "ros": _ros,
     "rendering": _rendering,
@@ -264,4 +293,5 @@ CHECKS: dict[str, Callable[[Instance], Outcome]] = {
     "ports": _ports,
     "link": _link,
     "leftovers": _leftovers,
+    "sensors": _sensors,
 }

@@ -19,7 +19,7 @@ from valor.common import mode_names, topics, whole_file
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError, ValorError, expected, require_one_of
 from valor.common.instance import Bounds, ClockMode, Instance, Link, Recording, RosCommands, Settings, ros_namespace
-from valor.common.processes import BY_NAME, FOXGLOVE, HEAD_CAMERA, LIDAR, LINK, PROCESSES, RECORDER, SENSORS, VIEW
+from valor.common.processes import BY_NAME, FOXGLOVE, LINK, PROCESSES, RECORDER, SENSORS, VIEW
 from valor.common.resources import file_of, robot_folder
 from valor.robot.description import RobotDescription
 from valor.simulation.world_names import WORLD_NAMES
@@ -53,8 +53,7 @@ class Request:
     initial_mode: str | None = None  # empty: none
     ros_commands: RosCommands = "all"
     foxglove: str | None = None  # [HOST:]PORT; empty: the default
-    camera: bool = False  # of the simulated robot
-    sensors: tuple[str, ...] = ()  # others of the simulated robot, in ``SENSORS``
+    sensors: tuple[str, ...] = ()  # of the simulated robot, in ``SENSORS``
     view: bool = False  # serve the operator's page
     link: Link = field(default_factory=Link)  # without a domain: no link
     ros_domain: int | None = None
@@ -159,18 +158,23 @@ def _with_options(profile: Profile, request: Request) -> Profile:
 def _asked(request: Request) -> set[str]:
     """Options of processes."""
     asked = {VIEW: request.view, LINK: request.link.domain is not None}
-    asked |= {BY_NAME[FOXGLOVE].option: request.foxglove is not None, BY_NAME[HEAD_CAMERA].option: request.camera}
-    return {option for option, present in asked.items() if present} | {SENSORS[name] for name in request.sensors}
+    asked |= {BY_NAME[FOXGLOVE].option: request.foxglove is not None}
+    asked |= {BY_NAME[SENSORS[name].process].option: True for name in request.sensors}
+    return {option for option, present in asked.items() if present}
 
 
 def _require_sensors(profile: Profile, request: Request, robot: RobotDescription) -> None:
     """Raise ConfigurationError for a simulated sensor without a simulation, or that the robot lacks."""
-    for name in {HEAD_CAMERA, LIDAR}.intersection(profile.processes):
+    for name, sensor in SENSORS.items():
+        if sensor.process not in profile.processes:
+            continue
+        what = ""
         if profile.variant != "simulation":
             what = f"profile {request.profile} has no simulated world; expected a real sensor"
-            raise ConfigurationError(f"{BY_NAME[name].option}: {what}")
-    if LIDAR in profile.processes and robot.tables.lidar is None:
-        raise ConfigurationError(f"{SENSORS[LIDAR]}: {robot.name} has none; expected `lidar` in its robot.yaml")
+        elif getattr(robot.tables, name) is None:
+            what = f"{robot.name} has none; expected `{name}` in its robot.yaml"
+        if what:
+            raise ConfigurationError(f"{BY_NAME[sensor.process].option}: {what}")
 
 
 def _robot_folder(request: Request, default: str, file: Path) -> Path:

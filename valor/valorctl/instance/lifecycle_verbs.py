@@ -90,11 +90,8 @@ FoxgloveAt = Annotated[
     str | None,
     typer.Option(metavar="[HOST:]PORT", help="Serve Foxglove there; any computer that reaches HOST can read."),
 ]
-Camera = Annotated[
-    bool, typer.Option("--camera", help="Add a camera to the simulated robot: topic camera/image_raw/compressed.")
-]
 Sensors = Annotated[
-    str, typer.Option(metavar="NAME,…", help="Add sensors to the simulated robot: lidar (lidar/scan, lidar/points).")
+    str, typer.Option(metavar="NAME,…", help="Add sensors to the simulated robot: lidar, camera (docs/sensors.md).")
 ]
 View = Annotated[bool, typer.Option("--view", help="Serve the operator's page.")]
 Link = Annotated[
@@ -144,7 +141,6 @@ def up(
     ros_commands: Commands = "all",
     foxglove: Foxglove = False,
     foxglove_at: FoxgloveAt = None,
-    camera: Camera = False,
     sensors: Sensors = "",
     view: View = False,
     link: Link = None,
@@ -166,7 +162,7 @@ def up(
         wait_for_vrc=wait_for_vrc, bag=bag, bag_bound=tuple(bag_bound or ()), no_bag=no_bag,
         recording=recording_options.recording(bag_only or (), bag_without or (), bag_split or (), bag_ring),
         initial_mode=initial_mode, ros_commands=ros_commands, foxglove=foxglove_at or ("" if foxglove else None),
-        camera=camera, sensors=tuple(filter(None, sensors.split(","))), view=view,
+        sensors=tuple(filter(None, sensors.split(","))), view=view,
         link=linking.parsed(link, when_lost), ros_domain=domain, namespace=namespace,
         peers=None if peers is None else tuple(filter(None, peers.split(","))),
     )  # fmt: skip
