@@ -54,8 +54,8 @@ class Standing(threading.Thread):
             joints[ESCHER.index["lidar_roll"]] = (3e-9 * now + np.pi) % (2 * np.pi) - np.pi
             feet = np.ones(2, np.uint8)
             self._truth.publish(GroundTruth(now, PLACE, UPRIGHT, np.zeros(3), np.zeros(3), joints, feet, np.zeros(0)))
-            estimated = {"pelvis_position_in_odom": PLACE, "pelvis_orientation_in_odom": UPRIGHT}
-            self._motion.publish(motion_state(time=now, **estimated))
+            estimate = motion_state(time=now, pelvis_position_in_odom=PLACE, pelvis_orientation_in_odom=UPRIGHT)
+            self._motion.publish(estimate)
 
 
 def body_in_world(name: str) -> Pose:
