@@ -2,8 +2,8 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from itertools import groupby
 
-import can
 import numpy as np
 
 from valor.common.arrays import FloatArray
@@ -11,7 +11,7 @@ from valor.common.instance import Instance, Settings
 from valor.device_emulators.emulator import ALL_FAULTS, EmulatedFault, Emulator, FaultyLine
 from valor.device_emulators.robot import SimulatedRobot
 from valor.devices import can_frames
-from valor.devices.can_frames import Code, Identity, Status, protect
+from valor.devices.can_frames import AXES, Code, Frame, Identity, Status, is_command, protect
 from valor.devices.ports import open_can
 from valor.devices.table import FtCan, MotorController, SeaCanFd, WrenchSensor
 from valor.robot.description import RobotDescription
@@ -40,58 +40,61 @@ class CanEmulator(Emulator):
         self._identities = {unit.id: Identity(unit.serial, unit.firmware) for unit in units}
         self._names = {unit.id: str(unit.id) for unit in units}
         super().__init__(name, dict.fromkeys(self._names.values(), kinds))
-        self._bus = open_can(settings, bus, can_frames.TO_UNITS, can_frames.KIND)
-        self._line = FaultyLine(lambda *frame: self._bus.send(can_frames.frame(*frame)), self.faults)
+        self._bus = open_can(settings, bus, master=False)
+        self._out: list[Frame] = []  # sent together: the driver wakes up once
+        self._line = FaultyLine(lambda *frame: self._out.append(Frame(*frame)), self.faults)
         self._dead: set[int] = set()
 
     def files(self) -> tuple[int, ...]:
         return (self._bus.fileno(),)
 
     def close(self) -> None:
-        self._bus.shutdown()
+        self._bus.close()
 
     def step(self, now: float, robot: SimulatedRobot) -> None:
-        for unit, name in self._names.items():
-            if self.faults.active(name, EmulatedFault.UNPLUGGED, now) != (unit in self._dead):
-                self._dead ^= {unit}
-                self._power_changed(unit, unit not in self._dead, robot)
-        while True:
-            try:
-                message = self._bus.recv(0.0)
-            except can.CanOperationError:
-                continue  # no CAN frame
-            if message is None:
-                break
-            self._process(message, now, robot)
+        if self.faults or self._dead:
+            for unit, name in self._names.items():
+                if self.faults.active(name, EmulatedFault.UNPLUGGED, now) != (unit in self._dead):
+                    self._dead ^= {unit}
+                    self._power_changed(unit, unit not in self._dead, robot)
+        for kind, frames in groupby(self._bus.receive(0.0), lambda frame: frame.identifier & can_frames.KIND):
+            if kind == can_frames.COMMAND:
+                self._command([frame for frame in frames if self._has(frame)], now, robot)
+            elif kind == can_frames.SYNC:
+                for frame in frames:
+                    self._sample(frame, now, robot)
+            elif kind == can_frames.REQUEST:
+                for frame in frames:
+                    self._reply(frame, now, robot)
         self._check_watchdogs(now, robot)
         self._line.flush(now)
+        if self._out:
+            self._bus.send(self._out)
+            self._out.clear()
 
-    def _process(self, message: can.Message, now: float, robot: SimulatedRobot) -> None:
-        identifier = message.arbitration_id
-        if identifier == can_frames.SYNC:
-            counter = can_frames.read_small(message)
-            if counter is not None:
-                units = [unit for unit in self._identities if unit not in self._dead]
-                # Send all states together: the driver wakes up at the first and finds the others received.
-                for unit, state in [(unit, self._state(unit, counter, now, robot)) for unit in units]:
-                    self._line.send(self._names[unit], state, now, can_frames.STATE + unit)
+    def _has(self, frame: Frame) -> bool:
+        """Return whether a frame is to a unit that has power."""
+        unit = frame.identifier & can_frames.UNIT
+        return unit in self._identities and unit not in self._dead
+
+    def _sample(self, frame: Frame, now: float, robot: SimulatedRobot) -> None:
+        if (counter := can_frames.read_small(frame)) is None:
             return
-        unit = identifier & can_frames.UNIT
-        if unit not in self._identities or unit in self._dead:
-            return
-        kind = identifier & can_frames.KIND
-        if kind == can_frames.REQUEST:
-            code = can_frames.read_small(message)
-            if code is not None:
-                done = code == Code.IDENTIFY or self._execute(unit, code, now, robot)
-                if not self.faults.active(self._names[unit], EmulatedFault.SILENT, now):
-                    self._bus.send(can_frames.reply(unit, code, done, self._identities[unit]))
-        elif kind == can_frames.COMMAND:
-            self._command(unit, message, now, robot)
+        for (unit, name), state in zip(self._names.items(), self._states(counter, now, robot), strict=True):
+            if unit not in self._dead:
+                identifier = can_frames.STATE + unit
+                self._line.send(name, protect(identifier, state), now, identifier)
+
+    def _reply(self, frame: Frame, now: float, robot: SimulatedRobot) -> None:
+        unit = frame.identifier & can_frames.UNIT
+        if self._has(frame) and (code := can_frames.read_small(frame)) is not None:
+            done = code == Code.IDENTIFY or self._execute(unit, code, now, robot)
+            if not self.faults.active(self._names[unit], EmulatedFault.SILENT, now):
+                self._out.append(can_frames.reply(unit, code, done, self._identities[unit]))
 
     @abstractmethod
-    def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
-        """Data of a unit's STATE frame."""
+    def _states(self, counter: int, now: float, robot: SimulatedRobot) -> list[bytes]:
+        """Contents of all units' STATE frames."""
 
     def _power_changed(self, unit: int, on: bool, robot: SimulatedRobot) -> None:
         """Handle loss or return of a unit's supply; default: none."""
@@ -100,8 +103,8 @@ class CanEmulator(Emulator):
         """Execute a request other than IDENTIFY; returns whether it succeeded."""
         return False
 
-    def _command(self, unit: int, message: can.Message, now: float, robot: SimulatedRobot) -> None:
-        """Apply a COMMAND; sensors ignore it."""
+    def _command(self, frames: Sequence[Frame], now: float, robot: SimulatedRobot) -> None:
+        """Apply COMMANDs; sensors ignore them."""
 
     def _check_watchdogs(self, now: float, robot: SimulatedRobot) -> None:
         """Hold the joints of units without recent commands."""
@@ -114,23 +117,29 @@ class ForceTorqueEmulator(CanEmulator):
         table = robot.tables.devices[name]
         assert isinstance(table, FtCan)
         super().__init__(name, settings, table.bus, table.sensors, _SENSOR_FAULTS)
-        self._wrenches = {unit.id: f"{unit.at}_wrench" for unit in table.sensors}
+        self._wrenches = {str(unit.id): f"{unit.at}_wrench" for unit in table.sensors}
 
-    def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
-        wrench: FloatArray = getattr(robot.measured, self._wrenches[unit])
-        hot = self.faults.active(self._names[unit], EmulatedFault.OVER_TEMPERATURE, now)
-        status = Status.OVER_TEMPERATURE if hot else Status(0)
-        content = can_frames.SENSOR_STATE.pack(counter, status, round(10.0 * (HOT if hot else WARM)), *wrench)
-        return protect(can_frames.STATE + unit, content)
+    def _states(self, counter: int, now: float, robot: SimulatedRobot) -> list[bytes]:
+        states, measured = [], robot.measured
+        for name, wrench in self._wrenches.items():
+            hot = self.faults.active(name, EmulatedFault.OVER_TEMPERATURE, now)
+            status, temperature = (Status.OVER_TEMPERATURE, HOT) if hot else (0, WARM)
+            values: FloatArray = getattr(measured, wrench)
+            states.append(can_frames.SENSOR_STATE.pack(counter, status, round(10.0 * temperature), *values.tolist()))
+        return states
+
+
+# As plain numbers: flag arithmetic is slow.
+_ENABLED, _CALIBRATED, _WATCHDOG = int(Status.ENABLED), int(Status.CALIBRATED), int(Status.WATCHDOG)
+_HOT, _WEAK = int(Status.OVER_TEMPERATURE), int(Status.UNDER_VOLTAGE)
 
 
 class _Controller:
-    def __init__(self, table: MotorController, robot: RobotDescription) -> None:
+    def __init__(self, table: MotorController, robot: RobotDescription, row: int) -> None:
         self.joints = np.array([robot.index[joint] for joint in table.axes], dtype=np.intp)
-        self.offset = np.array([robot.tables.calibration.offsets.get(joint, 0.0) for joint in table.axes])
         self.name = str(table.id)
-        self.status = Status(0)
-        self.sequence = 0
+        self.row = row
+        self.status = self.sequence = 0
         self.commanded = 0.0  # time of the last command [s of robot time]
 
 
@@ -141,78 +150,84 @@ class SeriesElasticEmulator(CanEmulator):
         table = robot.tables.devices[name]
         assert isinstance(table, SeaCanFd)
         super().__init__(name, settings, table.bus, table.controllers)
-        self._controllers = {unit.id: _Controller(unit, robot) for unit in table.controllers}
+        self._controllers = {unit.id: _Controller(unit, robot, row) for row, unit in enumerate(table.controllers)}
+        self._joints = np.concatenate([each.joints for each in self._controllers.values()])
+        self._has_axis = np.array([np.arange(AXES) < each.joints.size for each in self._controllers.values()])
+        self._offset = np.zeros(self._has_axis.shape)  # encoder values at joint position 0, (controllers, axes) [rad]
+        self._offset[self._has_axis] = [robot.tables.calibration.offsets.get(joint, 0.0) for joint in table.joints]
+        self._measured = np.zeros((*self._offset.shape, 4))  # position, velocity, torque, current
 
-    def _state(self, unit: int, counter: int, now: float, robot: SimulatedRobot) -> bytes:
-        controller, measured, fault = self._controllers[unit], robot.measured, self.faults.active
+    def _states(self, counter: int, now: float, robot: SimulatedRobot) -> list[bytes]:
+        measured, joints, places, fault = robot.measured, self._joints, self._has_axis, self.faults.active
         robot.state_requested()
-        position = measured.joint_position[controller.joints] + self._offset(controller, now)
-        velocity = measured.joint_velocity[controller.joints]
-        torque = measured.joint_effort[controller.joints]
-        current = robot.plant.actuators.drive[controller.joints] / TORQUE_PER_CURRENT
-        axes: list[float] = []
-        for k in range(position.size):
-            axes += (float(position[k]), float(velocity[k]), float(torque[k]), float(current[k]))
-        axes += [0.0] * (4 * can_frames.AXES - len(axes))
-        hot = fault(controller.name, EmulatedFault.OVER_TEMPERATURE, now)
-        weak = fault(controller.name, EmulatedFault.UNDER_VOLTAGE, now)
-        content = can_frames.CONTROLLER_STATE.pack(
-            counter,
-            controller.status | (Status.OVER_TEMPERATURE if hot else 0) | (Status.UNDER_VOLTAGE if weak else 0),
-            controller.sequence,
-            *axes,
-            *[round(10.0 * (HOT if hot else WARM))] * can_frames.AXES,
-            round(100.0 * (WEAK_SUPPLY if weak else SUPPLY)),
-            round(1e6 * robot.time) & 0xFFFFFFFF,
-        )
-        return protect(can_frames.STATE + unit, content)
+        position = measured.joint_position[joints] + self._encoder_offset(now)[places]
+        current = robot.plant.actuators.drive[joints] / TORQUE_PER_CURRENT
+        vectors = (position, measured.joint_velocity[joints], measured.joint_effort[joints], current)
+        for k, values in enumerate(vectors):
+            self._measured[places, k] = values
+        clock, states = round(1e6 * robot.time) & 0xFFFFFFFF, []
+        rows = self._measured.reshape(-1, 4 * AXES).tolist()
+        for controller, axes in zip(self._controllers.values(), rows, strict=True):
+            hot = fault(controller.name, EmulatedFault.OVER_TEMPERATURE, now)
+            weak = fault(controller.name, EmulatedFault.UNDER_VOLTAGE, now)
+            status = controller.status | (_HOT if hot else 0) | (_WEAK if weak else 0)
+            temperatures = [round(10.0 * (HOT if hot else WARM))] * AXES
+            voltage = round(100.0 * (WEAK_SUPPLY if weak else SUPPLY))
+            content = (counter, status, controller.sequence, *axes, *temperatures, voltage, clock)
+            states.append(can_frames.CONTROLLER_STATE.pack(*content))
+        return states
 
-    def _offset(self, controller: _Controller, now: float) -> FloatArray:
-        """Encoder values at joint position 0 [rad]."""
-        if not self.faults.active(controller.name, EmulatedFault.ENCODER_JUMP, now):
-            return controller.offset
-        jumped = controller.offset.copy()
-        jumped[0] += JUMP
-        return jumped
+    def _encoder_offset(self, now: float) -> FloatArray:
+        """(controllers, axes) encoder values at joint position 0 [rad]."""
+        if not self.faults:
+            return self._offset
+        offset = self._offset.copy()
+        for each in self._controllers.values():
+            if self.faults.active(each.name, EmulatedFault.ENCODER_JUMP, now):
+                offset[each.row, 0] += JUMP
+        return offset
 
     def _execute(self, unit: int, code: int, now: float, robot: SimulatedRobot) -> bool:
         controller = self._controllers[unit]
         if code == Code.CALIBRATED:
-            controller.status |= Status.CALIBRATED
-        elif code == Code.ENABLE and controller.status & Status.CALIBRATED:
-            if not controller.status & Status.ENABLED:
-                controller.status |= Status.ENABLED
+            controller.status |= _CALIBRATED
+        elif code == Code.ENABLE and controller.status & _CALIBRATED:
+            if not controller.status & _ENABLED:
+                controller.status |= _ENABLED
                 controller.commanded = robot.time
                 robot.power(controller.joints, True)
                 robot.hold(controller.joints)
         elif code == Code.DISABLE:
-            controller.status &= ~(Status.ENABLED | Status.WATCHDOG)
+            controller.status &= ~(_ENABLED | _WATCHDOG)
             robot.power(controller.joints, False)
         else:
             return False
         return True
 
-    def _command(self, unit: int, message: can.Message, now: float, robot: SimulatedRobot) -> None:
-        controller = self._controllers[unit]
-        command = can_frames.read_command(message)
-        if command is None or not controller.status & Status.ENABLED:
+    def _command(self, frames: Sequence[Frame], now: float, robot: SimulatedRobot) -> None:
+        controllers = [self._controllers[frame.identifier & can_frames.UNIT] for frame in frames]
+        enabled = [(c, f) for c, f in zip(controllers, frames, strict=True) if c.status & _ENABLED and is_command(f)]
+        if not enabled:
             return
-        controller.sequence = int(command["sequence"])
-        controller.commanded = robot.time
-        controller.status &= ~Status.WATCHDOG
-        axes, count = command["axis"], controller.joints.size
-        vectors = {name: axes[name][:count] for name in ("position", "velocity", "effort", "stiffness", "damping")}
-        vectors["position"] = vectors["position"] - self._offset(controller, now)
-        robot.command(controller.joints, command["mode"][:count], vectors)
+        commands = can_frames.read_commands([frame for _, frame in enabled])
+        for (controller, _), sequence in zip(enabled, commands["sequence"].tolist(), strict=True):
+            controller.sequence, controller.commanded = sequence, robot.time
+            controller.status &= ~_WATCHDOG
+        rows = [controller.row for controller, _ in enabled]
+        places, axes = self._has_axis[rows], commands["axis"]
+        vectors = {name: axes[name][places] for name in ("position", "velocity", "effort", "stiffness", "damping")}
+        vectors["position"] = vectors["position"] - self._encoder_offset(now)[rows][places]
+        joints = np.concatenate([controller.joints for controller, _ in enabled])
+        robot.command(joints, commands["mode"][places], vectors)
 
     def _check_watchdogs(self, now: float, robot: SimulatedRobot) -> None:
         for controller in self._controllers.values():
-            enabled = controller.status & (Status.ENABLED | Status.WATCHDOG) == Status.ENABLED
+            enabled = controller.status & (_ENABLED | _WATCHDOG) == _ENABLED
             if enabled and robot.time - controller.commanded > WATCHDOG:
-                controller.status |= Status.WATCHDOG
+                controller.status |= _WATCHDOG
                 robot.hold(controller.joints)
 
     def _power_changed(self, unit: int, on: bool, robot: SimulatedRobot) -> None:
         controller = self._controllers[unit]
-        controller.status, controller.sequence = Status(0), 0
+        controller.status = controller.sequence = 0
         robot.power(controller.joints, False)

@@ -56,6 +56,10 @@ class FaultSwitches:
         self._kinds = kinds
         self._until: dict[tuple[str, EmulatedFault], float] = {}
 
+    def __bool__(self) -> bool:
+        """Whether a fault was injected, active or over, since all were cleared."""
+        return bool(self._until)
+
     def inject(self, unit: str, fault: EmulatedFault, until: float = math.inf) -> None:
         """Inject a fault until a time [s of the emulators' clock]; a past time ends it.
 
@@ -86,6 +90,9 @@ class FaultyLine:
 
     def send(self, unit: str, data: bytes, now: float, *address: int) -> None:
         """Send data of a unit at ``now`` [s]."""
+        if not self._faults:
+            self._send(*address, data)
+            return
 
         def active(fault: EmulatedFault) -> bool:
             return self._faults.active(unit, fault, now)

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import can
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,11 +15,11 @@ from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.instance import Instance, Settings
 from valor.common.messages import JointMode
-from valor.comms_manager.hardware.can_device import CanPort
 from valor.comms_manager.hardware.device import DeviceContext, Fault, JointCommands, JointMeasurement
 from valor.comms_manager.hardware.series_elastic import JUMPS_TO_FAULT, SeriesElastic
 from valor.devices import can_frames
-from valor.devices.can_frames import Status, is_valid, protect
+from valor.devices.can_frames import Frame, Status, is_valid, protect
+from valor.devices.ports import open_can
 from valor.devices.table import SeaCanFd
 from valor.robot.description import RobotDescription
 
@@ -38,16 +37,16 @@ class Bench:
     def __init__(self, name: str) -> None:
         settings = Settings(robot=ROBOT.folder, ros_domain_id=1, ports={"can0": f"virtual:{name}"})
         self.driver = SeriesElastic("legs", DeviceContext(Instance("x", Path()), settings, ROBOT))
-        self.driver._bus = CanPort(lambda: can.Bus(interface="virtual", channel=name))
-        self.far = can.Bus(interface="virtual", channel=name)
+        self.driver._bus = open_can(settings, 0, master=True)
+        self.far = open_can(settings, 0, master=False)
         self.clock = 0
 
     def exchange(self, encoders: FloatArray, status: int = ON, but: frozenset[int] = frozenset()) -> JointMeasurement:
         """One SYNC, answered by all but some; returns what the driver hands over."""
         self.driver._sync()
         counter = None
-        while (message := self.far.recv(0.0)) is not None:
-            if message.arbitration_id == can_frames.SYNC:
+        for message in self.far.receive(0.0):
+            if message.identifier == can_frames.SYNC:
                 counter = can_frames.read_small(message)
         assert counter is not None
         self.clock += 4000
@@ -60,27 +59,24 @@ class Bench:
                     counter, status, 0, *axes[0], *axes[1], 300, 310, 4800, self.clock
                 )
                 identifier = can_frames.STATE + unit.id
-                self.far.send(can_frames.frame(identifier, protect(identifier, content)))
+                self.far.send([Frame(identifier, protect(identifier, content))])
         self.driver._listen(0.0)
         self.driver._finish()
         assert isinstance(self.driver.joint_state, JointMeasurement)
         return self.driver.joint_state
 
     def commands(self) -> dict[int, np.void]:
-        told = {}
-        while (message := self.far.recv(0.0)) is not None:
-            if message.arbitration_id & can_frames.KIND == can_frames.COMMAND:
-                command = can_frames.read_command(message)
-                assert command is not None
-                told[message.arbitration_id & can_frames.UNIT] = command
-        return told
+        told = [frame for frame in self.far.receive(0.0) if can_frames.is_command(frame)]
+        assert all(frame.identifier & can_frames.KIND == can_frames.COMMAND for frame in told)
+        units = [frame.identifier & can_frames.UNIT for frame in told]
+        return dict(zip(units, can_frames.read_commands(told), strict=True))
 
 
 @pytest.fixture
 def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
     bench = Bench(request.node.name)
     yield bench
-    bench.far.shutdown()
+    bench.far.close()
     bench.driver.close()
 
 
@@ -185,12 +181,12 @@ def test_a_controller_without_power_is_switched_on_again_only_where_that_moves_n
     far = command(JointMode.POSITION)
     bench.driver.command = far
     bench.driver._attend()
-    requests = [m for m in iter(lambda: bench.far.recv(0.0), None) if m.arbitration_id & 0x780 == can_frames.REQUEST]
-    assert {m.arbitration_id & can_frames.UNIT for m in requests} == set(), "their set-points are far away"
+    requests = [frame for frame in bench.far.receive(0.0) if frame.identifier & can_frames.KIND == can_frames.REQUEST]
+    assert {frame.identifier & can_frames.UNIT for frame in requests} == set(), "their set-points are far away"
     bench.driver.command = command(JointMode.OFF)
     bench.driver._attend()
-    requests = [m for m in iter(lambda: bench.far.recv(0.0), None) if m.arbitration_id & 0x780 == can_frames.REQUEST]
-    assert {m.arbitration_id & can_frames.UNIT for m in requests} == set(bench.driver._controllers)
+    requests = [frame for frame in bench.far.receive(0.0) if frame.identifier & can_frames.KIND == can_frames.REQUEST]
+    assert {frame.identifier & can_frames.UNIT for frame in requests} == set(bench.driver._controllers)
 
 
 @given(st.integers(1, 63), st.binary(min_size=2, max_size=60), st.data())

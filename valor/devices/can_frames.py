@@ -22,8 +22,8 @@ from binascii import crc_hqx
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
-import can
 import numpy as np
 
 SYNC = 0x080
@@ -110,58 +110,60 @@ class Reply:
     identity: Identity
 
 
-def frame(identifier: int, data: bytes) -> can.Message:
-    """A CAN FD frame with an 11-bit identifier."""
-    return can.Message(
-        arbitration_id=identifier, data=data, is_extended_id=False, is_fd=len(data) > 8, bitrate_switch=len(data) > 8
-    )
+class Frame(NamedTuple):
+    """A CAN FD frame."""
+
+    identifier: int  # of 11 bits
+    data: bytes
 
 
-def sync(counter: int) -> can.Message:
+def sync(counter: int) -> Frame:
     """SYNC frame: all units sample."""
-    return frame(SYNC, protect(SYNC, _SYNC.pack(counter)))
+    return Frame(SYNC, protect(SYNC, _SYNC.pack(counter)))
 
 
-def request(unit: int, code: Code) -> can.Message:
+def request(unit: int, code: Code) -> Frame:
     """REQUEST frame to one unit."""
-    return frame(REQUEST + unit, protect(REQUEST + unit, _REQUEST.pack(code)))
+    return Frame(REQUEST + unit, protect(REQUEST + unit, _REQUEST.pack(code)))
 
 
-def reply(unit: int, code: int, done: bool, identity: Identity) -> can.Message:
+def reply(unit: int, code: int, done: bool, identity: Identity) -> Frame:
     """REPLY frame of a unit."""
     content = _REPLY.pack(code, not done, identity.serial.encode()[:16], identity.firmware.encode()[:8])
-    return frame(REPLY + unit, protect(REPLY + unit, content))
+    return Frame(REPLY + unit, protect(REPLY + unit, content))
 
 
-def read_reply(message: can.Message) -> Reply | None:
+def read_reply(message: Frame) -> Reply | None:
     """Parse a REPLY; None if it is invalid."""
-    if len(message.data) != REPLY_LENGTH or not is_valid(message.arbitration_id, message.data):
+    if len(message.data) != REPLY_LENGTH or not is_valid(message.identifier, message.data):
         return None
     code, result, serial, firmware = _REPLY.unpack_from(message.data)
     return Reply(code, result == 0, Identity(_text(serial), _text(firmware)))
 
 
-def read_small(message: can.Message) -> int | None:
+def read_small(message: Frame) -> int | None:
     """Counter of a SYNC or code of a REQUEST; None if it is invalid."""
-    if len(message.data) != _SYNC.size + CHECKSUM_SIZE or not is_valid(message.arbitration_id, message.data):
+    if len(message.data) != _SYNC.size + CHECKSUM_SIZE or not is_valid(message.identifier, message.data):
         return None
     return int(message.data[0])
 
 
-def command_frames(units: Sequence[int], commands: np.ndarray[tuple[int], np.dtype[np.void]]) -> list[can.Message]:
+def command_frames(units: Sequence[int], commands: np.ndarray[tuple[int], np.dtype[np.void]]) -> list[Frame]:
     """Encode a vector of ``COMMAND_TYPE``, one frame per unit."""
     raw, size = commands.tobytes(), COMMAND_TYPE.itemsize
     return [
-        frame(COMMAND + unit, protect(COMMAND + unit, raw[k * size : (k + 1) * size])) for k, unit in enumerate(units)
+        Frame(COMMAND + unit, protect(COMMAND + unit, raw[k * size : (k + 1) * size])) for k, unit in enumerate(units)
     ]
 
 
-def read_command(message: can.Message) -> np.void | None:
-    """Parse a COMMAND; None if it is invalid."""
-    if len(message.data) != COMMAND_LENGTH or not is_valid(message.arbitration_id, message.data):
-        return None
-    command: np.void = np.frombuffer(message.data, dtype=COMMAND_TYPE, count=1)[0]
-    return command
+def is_command(message: Frame) -> bool:
+    """Return whether a COMMAND is valid."""
+    return len(message.data) == COMMAND_LENGTH and is_valid(message.identifier, message.data)
+
+
+def read_commands(messages: Sequence[Frame]) -> np.ndarray[tuple[int], np.dtype[np.void]]:
+    """Parse valid COMMANDs as a vector of ``COMMAND_TYPE``."""
+    return np.frombuffer(b"".join(each.data[:-CHECKSUM_SIZE] for each in messages), dtype=COMMAND_TYPE)
 
 
 def _text(raw: bytes) -> str:

@@ -10,7 +10,7 @@ import select
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 
 import can
 import numpy as np
@@ -28,8 +28,8 @@ from valor.comms_manager.hardware.device import (
     WrenchMeasurement,
 )
 from valor.devices import can_frames
-from valor.devices.can_frames import Code, Reply, is_valid
-from valor.devices.ports import open_can
+from valor.devices.can_frames import Code, Frame, Reply, is_valid
+from valor.devices.ports import CanBus, open_can
 from valor.devices.table import FtCan, MotorController, SupplyLimits, WrenchSensor
 
 GATHERING = 0.0015  # timeout of STATEs after SYNC [s]
@@ -39,60 +39,6 @@ TRIES = 20  # of a request, at start
 ATTEND_EVERY = 0.1  # period of requests to units with faults [s]
 REOPEN_EVERY = 0.5  # period of reopening a bus that fails [s]
 _IDLE = 0.02  # longest sleep of the thread [s]
-_MOST_INVALID = 64  # consecutive invalid frames, after which the bus has failed
-
-Received = tuple[int, int, can.Message]
-"""Kind and unit of a frame, by its identifier, and the frame."""
-
-
-class CanPort:
-    """An open bus. All methods but ``reopen`` and ``close`` raise ``can.CanError`` or ``OSError`` if the bus fails."""
-
-    def __init__(self, open_bus: Callable[[], can.BusABC]) -> None:
-        """``open_bus``: as often as needed; raises ``ConfigurationError``."""
-        self._open_bus = open_bus
-        self._bus = open_bus()
-        self._reopened = 0.0
-
-    def fileno(self) -> int:
-        """Readable when a frame has been received."""
-        return int(self._bus.fileno())
-
-    def send(self, message: can.Message) -> None:
-        self._bus.send(message)
-
-    def receive(self, timeout: float) -> Iterator[Received]:
-        """Received frames from units; waits for the first one [s]."""
-        invalid = 0
-        while True:
-            try:
-                message = self._bus.recv(timeout)
-            except can.CanOperationError:  # no CAN frame: on multicast any process may send
-                invalid += 1
-                if invalid > _MOST_INVALID:
-                    raise
-                continue
-            if message is None:
-                return
-            timeout = 0.0
-            kind = message.arbitration_id & can_frames.KIND
-            if kind in can_frames.TO_MASTER:
-                yield kind, message.arbitration_id & can_frames.UNIT, message
-
-    def reopen(self) -> None:
-        """Reopen the bus, as a reconnected adapter requires; the old one stays open until then."""
-        now = time.monotonic()
-        if now - self._reopened < REOPEN_EVERY:
-            return
-        self._reopened = now
-        with contextlib.suppress(ConfigurationError):  # not yet
-            bus = self._open_bus()
-            with contextlib.suppress(can.CanError, OSError):
-                self._bus.shutdown()
-            self._bus = bus
-
-    def close(self) -> None:
-        self._bus.shutdown()
 
 
 class CanUnit:
@@ -116,7 +62,8 @@ class CanDevice(Device):
         self.records = tuple(unit.record for unit in units.values())
         self.gathered = threading.Event()  # set when the states requested last have been provided
         self._number, self._length = bus, length
-        self._bus: CanPort | None = None
+        self._bus: CanBus | None = None
+        self._reopened = 0.0  # [monotonic s]
         self._states_wanted = False
         self._counter = 0
         self._synced = 0  # when SYNC was sent last, monotonic [ns]
@@ -139,9 +86,7 @@ class CanDevice(Device):
 
     def find(self) -> None:
         """Check the identity of every unit, and receive a first state of each."""
-        self._bus = CanPort(
-            lambda: open_can(self.context.settings, self._number, can_frames.TO_MASTER, can_frames.KIND)
-        )
+        self._bus = open_can(self.context.settings, self._number, master=True)
         for unit in self.units.values():
             expected = f"expected serial number {unit.table.serial}, firmware {unit.table.firmware}"
             identity = self._request(unit, Code.IDENTIFY, expected).identity
@@ -167,7 +112,7 @@ class CanDevice(Device):
         assert self._bus is not None
         for _ in range(TRIES):
             self._replies.pop(unit.number, None)
-            self._bus.send(can_frames.request(unit.number, code))
+            self._bus.send([can_frames.request(unit.number, code)])
             deadline = time.monotonic() + ANSWER_TIME
             while (remaining := deadline - time.monotonic()) > 0.0:
                 self._listen(remaining)
@@ -211,7 +156,18 @@ class CanDevice(Device):
         except (can.CanError, OSError) as error:  # the bus itself fails: none of its units can be reached
             self._report_failure(f"CAN bus {self._number}: {error}")
             time.sleep(_IDLE)
-            self._bus.reopen()
+            self._reopen(self._bus)
+
+    def _reopen(self, old: CanBus) -> None:
+        """Reopen the bus, as a reconnected adapter requires; the old one stays open until then."""
+        now = time.monotonic()
+        if now - self._reopened < REOPEN_EVERY:
+            return
+        self._reopened = now
+        with contextlib.suppress(ConfigurationError):  # not yet
+            self._bus = open_can(self.context.settings, self._number, master=True)
+            with contextlib.suppress(can.CanError, OSError):
+                old.close()
 
     def _report_failure(self, failure: str) -> None:
         """Report a failure of the bus for each of its units; an empty string ends it."""
@@ -240,13 +196,13 @@ class CanDevice(Device):
         self._missing = set(self.units)
         self._awaited = {number for number, unit in self.units.items() if unit.missed < ABSENT_AFTER}
         self._synced = time.monotonic_ns()
-        self._bus.send(can_frames.sync(self._counter))
+        self._bus.send([can_frames.sync(self._counter)])
 
     def _listen(self, timeout: float) -> None:
         assert self._bus is not None
-        for kind, number, message in self._bus.receive(timeout):
-            unit = self.units.get(number)
-            if unit is None:
+        for message in self._bus.receive(timeout):
+            unit, kind = self.units.get(message.identifier & can_frames.UNIT), message.identifier & can_frames.KIND
+            if unit is None or kind not in can_frames.TO_MASTER:
                 continue
             if kind == can_frames.STATE:
                 self._process_state(unit, message)
@@ -255,10 +211,10 @@ class CanDevice(Device):
             else:
                 unit.record.errors += 1
 
-    def _process_state(self, unit: CanUnit, message: can.Message) -> None:
+    def _process_state(self, unit: CanUnit, message: Frame) -> None:
         """Process a STATE; rejected if it is invalid, belongs to another SYNC, or is repeated."""
         data, stamp = message.data, time.monotonic_ns()
-        valid = len(data) == self._length and is_valid(message.arbitration_id, data)
+        valid = len(data) == self._length and is_valid(message.identifier, data)
         if not valid or data[0] != self._counter or unit.number not in self._missing or not self._take(unit, data):
             unit.record.errors += 1
             return
@@ -275,7 +231,7 @@ class CanDevice(Device):
             self._report_faults()
 
     @abstractmethod
-    def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
+    def _take(self, unit: CanUnit, data: bytes) -> bool:
         """Process a valid STATE; returns whether its values are plausible."""
 
     @abstractmethod
@@ -305,7 +261,7 @@ class ForceTorque(CanDevice):
         self._stamp: IntVector = np.zeros(len(units), dtype=np.int64)
         self._wrench = np.zeros((len(units), 6))
 
-    def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
+    def _take(self, unit: CanUnit, data: bytes) -> bool:
         _, _, temperature, *wrench = can_frames.SENSOR_STATE.unpack_from(data)
         if not all(abs(value) < LARGEST for value in wrench):  # NaN is rejected as well
             return False

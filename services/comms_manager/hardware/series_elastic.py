@@ -113,7 +113,7 @@ class SeriesElastic(CanDevice):
                     raise DeviceError(f"{unit.name}: it rejects {code.name.lower()}; expected its motors to be on")
         self._enabled = True
 
-    def _take(self, unit: CanUnit, data: bytes | bytearray) -> bool:
+    def _take(self, unit: CanUnit, data: bytes) -> bool:
         assert isinstance(unit, _Controller)
         _, status, _, *axes = can_frames.CONTROLLER_STATE.unpack_from(data)
         now = time.monotonic_ns()
@@ -191,8 +191,7 @@ class SeriesElastic(CanDevice):
         for unit in self._controllers.values():
             if unit.jumped:
                 self._hold_by_encoder(unit)
-        for message in can_frames.command_frames(tuple(self._controllers), self._commands):
-            self._bus.send(message)
+        self._bus.send(can_frames.command_frames(tuple(self._controllers), self._commands))
 
     def _hold_by_encoder(self, unit: _Controller) -> None:
         """Hold joints whose encoder has jumped, at the encoder's value, which the controller's servo uses."""
@@ -215,10 +214,9 @@ class SeriesElastic(CanDevice):
             if reply is not None and reply.code == Code.IDENTIFY and reply.identity == unit.identity:
                 unit.identified = True
             if not unit.identified:
-                self._bus.send(can_frames.request(unit.number, Code.IDENTIFY))
+                self._bus.send([can_frames.request(unit.number, Code.IDENTIFY)])
             elif self._may_enable(unit.rows):
-                self._bus.send(can_frames.request(unit.number, Code.CALIBRATED))
-                self._bus.send(can_frames.request(unit.number, Code.ENABLE))
+                self._bus.send([can_frames.request(unit.number, code) for code in (Code.CALIBRATED, Code.ENABLE)])
 
     def _may_enable(self, rows: Sequence[int]) -> bool:
         """Return whether switching on moves nothing: set-points near the joints, or damping only."""
