@@ -23,6 +23,7 @@ class ControlMode(Table, kw_only=True):
     motion: tuple[str, str] | None
     joint_controllers: tuple[str, ...]
     robot_controllers: tuple[str, ...] = ()
+    optional_controllers: tuple[str, ...] = ()
     to: frozenset[str]
     preempts: bool = False
     when_done: str | None = None
@@ -70,6 +71,7 @@ class ControlModeTable(Table):
             name: structs.replace(
                 mode,
                 joint_controllers=tuple(each for each in mode.joint_controllers if each not in controllers),
+                optional_controllers=tuple(each for each in mode.optional_controllers if each not in controllers),
                 lacking=lacking if mode.motion and mode.motion[1] in MANIPULATING else "",
             )
             for name, mode in self.modes.items()

@@ -21,6 +21,7 @@ class Controller:
     name: str  # unique among all controllers
     type: str  # in the form of a ros2_control plug-in
     active = False  # selected by the control mode
+    obstacle = ""  # reason that it can never be active
 
     def start(self, hw: ValorEscherHWInterface) -> None:
         self.active = True
@@ -50,13 +51,24 @@ class ControllerManager:
             raise ConfigurationError(f"{where}: unknown controller {unknown[0]!r}; the {self.name} manager has {known}")
 
     def enter(
-        self, mode: str, names: Sequence[str], hw: ValorEscherHWInterface, reason: str, *, restart: bool = False
+        self,
+        mode: str,
+        names: Sequence[str],
+        hw: ValorEscherHWInterface,
+        reason: str,
+        *,
+        optional: Sequence[str] = (),
+        restart: bool = False,
     ) -> None:
-        """Activate exactly these controllers on entry to a control mode; with ``restart``, restart active ones."""
+        """Activate exactly these controllers on entry to a control mode; with ``restart``, restart active ones.
+
+        ``optional`` controllers stay as they are, active or not.
+        """
         if mode == self._mode and not restart:
             return
         self._mode = mode
-        self._allowed = frozenset(names)
+        self._allowed = frozenset((*names, *optional))
+        names = [*names, *(name for name in optional if name in self.active)]
         leaving = [name for name in self.active if restart or name not in self._allowed]
         self.apply(leaving, [name for name in names if restart or name not in self.active], hw, reason)
 
@@ -149,7 +161,8 @@ class ControllerSwitch:
             return ("", False) if manager and name in restarting else (f"{name} is already active", True)
         if manager is None:
             return self._unknown(name), False
-        return ("" if manager.allows(name) else f"{name} may not be active: {self._hw.situation}"), False
+        reason = "" if manager.allows(name) else f"{name} may not be active: {self._hw.situation}"
+        return manager.controllers[name].obstacle or reason, False
 
     def _manager(self, name: str) -> ControllerManager | None:
         return next((manager for manager in self._managers if name in manager.controllers), None)

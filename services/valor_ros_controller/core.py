@@ -12,10 +12,12 @@ from typing import TypeVar
 import bifrost
 from valor.common.behaviors import NOTHING_TO_LEAD, ControlMode
 from valor.robot.description import RobotDescription
+from valor.robot.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.control_modes import ControlModeTable
 from valor.valor_ros_controller.controller_manager import Controller, ControllerManager, ControllerSwitch
 from valor.valor_ros_controller.controllers.configuration import ControllersTable, TrackingControllerConfig
 from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
+from valor.valor_ros_controller.controllers.gravity_offset import GravityOffset
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 from valor.valor_ros_controller.valor_escher_interface import BehaviorCommander, ValorEscherInterface
@@ -46,11 +48,12 @@ class Core:
         decimation: int,
         silence_timeout: float,
         rejection: str = "",
+        tree: KinematicTree | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Create all parts; for the arguments see ``ValorEscherInterface``.
 
-        ``rejection``: reason to reject every control mode, empty if there is none.
+        ``rejection``: reason to reject every control mode, empty if there is none; ``tree``: of the robot.
 
         Raises:
             ConfigurationError: a table is invalid.
@@ -74,8 +77,9 @@ class Core:
         self.joints = ControllerManager(
             "joint", [*(self.trajectories[name] for name in table.joint_controllers), *self.tracking.values()]
         )
+        offsets = [GravityOffset(name, config, hw, tree) for name, config in table.offset_controllers.items()]
         self.robots = ControllerManager(
-            "robot", [FootstepController(), *(self.trajectories[name] for name in table.robot_controllers)]
+            "robot", [FootstepController(), *(self.trajectories[name] for name in table.robot_controllers), *offsets]
         )
         self.switch = ControllerSwitch((self._modes, self.joints, self.robots), hw)
         self.queue = UpdateQueue()  # calls into the update thread
@@ -91,6 +95,7 @@ class Core:
         for name, mode in self.modes.modes.items():
             self.joints.check(mode.joint_controllers, f"control mode {name}: joint_controllers")
             self.robots.check(mode.robot_controllers, f"control mode {name}: robot_controllers")
+            self.robots.check(mode.optional_controllers, f"control mode {name}: optional_controllers")
             trial = ValorEscherHWInterface(self.hw.robot)
             for controller in (*mode.joint_controllers, *mode.robot_controllers):
                 if writer := self.trajectories.get(controller):
@@ -142,7 +147,8 @@ class Core:
         if name == ControlMode.NONE and self.interface.behavior:
             reason = f"{reason}, the Motion System is in {self.interface.behavior}"
         self.joints.enter(name, mode.joint_controllers, hw, reason, restart=restart)
-        self.robots.enter(name, mode.robot_controllers, hw, reason, restart=restart)
+        optional = mode.optional_controllers
+        self.robots.enter(name, mode.robot_controllers, hw, reason, optional=optional, restart=restart)
 
     def close(self) -> None:
         """Send no more behavior requests. The owner closes the node."""

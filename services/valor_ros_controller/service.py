@@ -68,14 +68,14 @@ class ValorRosController:
         self._ros = RosThread(context)
         try:
             self._parameters = Parameters(self._ros.node)
-            self._open_ros(tree, self._create_core())
+            self._open_ros(tree, self._create_core(tree))
         except BaseException:
             self._ros.close()
             raise
         self._ros.life.configure()
         self._next_report = 0.0
 
-    def _create_core(self) -> float:
+    def _create_core(self, tree: KinematicTree) -> float:
         """Create the core; returns the rate of the update loop [Hz]."""
         context = self._context
         control_rate = context.robot.tables.control_rate
@@ -96,6 +96,7 @@ class ValorRosController:
             decimation=decimation,
             silence_timeout=timeout,
             rejection=context.settings.ros_refusal,
+            tree=tree,
         )
         self._ros.node.declare_parameter(
             "allowed_control_modes",

@@ -23,11 +23,12 @@ class ValorEscherHWInterface:
     """State and commands of n joints: the robot's, in the order of ``RobotDescription.joints``, then the pelvis' six.
 
     The pelvis' joints are x, y, z, roll, pitch and yaw in the frame of ``PelvisSetpoint`` [m, rad]. A joint's command
-    has one writer, the controller that claimed it.
+    has one writer, the controller that claimed it; controllers of offsets add to its position.
 
     Attributes:
         position, velocity: (n,) measured, of the pelvis estimated [rad or m, 1/s].
         command: (3, n) ``command_position``, ``command_velocity``, ``command_acceleration``, written by the claimants.
+        command_offset: (n,) added to ``command_position`` [rad or m].
         written: (m,) joints whose commands are sent, ascending; a new object on each change.
     """
 
@@ -46,6 +47,7 @@ class ValorEscherHWInterface:
         self.commanded: FloatArray = np.zeros(n)  # (n,) current set-points of the Motion System [rad or m]
         self.command = np.zeros((3, n))
         self.command_position, self.command_velocity, self.command_acceleration = self.command
+        self.command_offset = np.zeros(n)
         self.situation = "nothing received yet"  # control mode, or silent process; for texts of rejections
         self.clamped = 0  # number of commands brought within limits
         self.claims: dict[int, str] = {}  # controller by joint; a new object on each change
@@ -69,6 +71,10 @@ class ValorEscherHWInterface:
         if seconds > 0.0:
             velocity += (motion.pelvis_in_support - place - seconds * velocity) / max(seconds, PELVIS_SMOOTHING)
         place[:] = motion.pelvis_in_support
+
+    def held(self, joints: Indices) -> FloatArray:
+        """Current set-points of the Motion System, less the offsets that are added to commands [rad or m]."""
+        return self.commanded[joints] - self.command_offset[joints]
 
     def group_indices(self, groups: Sequence[str]) -> Indices:
         """Indices of the joints of robot.yaml's groups or the pelvis, in the order of ``groups``."""
@@ -115,10 +121,13 @@ class ValorEscherHWInterface:
         self._selected = self._limits.select(indices)
         # A joint begins at its controller's start, the Motion System's set-point; one sent recently continues.
         recent = np.abs(self.time - self._sent_time[indices]) <= LONGEST_STEP * 1e9
-        self._base = np.where(recent, self._sent[indices], self.command_position[indices])
+        self._base = np.where(recent, self._sent[indices], self._wanted())
+
+    def _wanted(self) -> FloatArray:
+        return self.command_position[self.written] + self.command_offset[self.written]
 
     def rectify(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Commands to send, within limits and without jumps (command rectification).
+        """Commands to send, with offsets, within limits and without jumps (command rectification).
 
         A position moves at most as far as the joint can in the time since the last one. A command that is not finite is
         replaced by the last one.
@@ -127,7 +136,7 @@ class ValorEscherHWInterface:
             (m,) position [rad or m], velocity [1/s] and acceleration [1/s²] of the ``written`` joints.
         """
         indices, base, limits = self.written, self._base, self._selected
-        wanted = self.command_position[indices]
+        wanted = self._wanted()
         step = limits.fastest * min(max(0, self.time - self._base_time) * 1e-9, LONGEST_STEP) + 1e-9
         self._base_time = self.time
         position = limits.position_within(np.minimum(np.maximum(wanted, base - step), base + step))

@@ -19,6 +19,7 @@ from thesis.experiments import arbitrary_goals
 from thesis.experiments.arbitrary_goals import HandGoalClient, HandTarget
 from valor.common.behaviors import ControlMode
 from valor.common.document import Document
+from valor.common.errors import ValorError
 from valor.common.messages import Proprioceptor
 from valor.common.resources import robot_folder
 from valor.common.topics import PROPRIOCEPTOR
@@ -88,7 +89,13 @@ class Session:
 
 
 def record(
-    run: Run, bag: Path, robot: Path | None = None, actuators: str | None = None, goals: Goals = "none"
+    run: Run,
+    bag: Path,
+    robot: Path | None = None,
+    actuators: str | None = None,
+    goals: Goals = "none",
+    *,
+    controller: str = "",
 ) -> Session:
     """Start a system, move neck and arm, and stop it; the bag is then complete.
 
@@ -98,6 +105,7 @@ def record(
         robot: its folder; default that of the command line.
         actuators: their profile; default that of the command line.
         goals: form of the arbitrary goals after the presets: none, postures of the arm, or poses of the hand in odom.
+        controller: optional controller of the VRC to activate.
 
     Raises:
         ValorError: a mode or motion was rejected, or failed.
@@ -109,6 +117,8 @@ def record(
         with join(run.instance, "experiment") as node:
             devices = _Devices(description, PROPRIOCEPTOR.subscriber(node), run)
             control_mode.enter(run.instance, MODE, run.interruption.check)
+            if controller:
+                _activate(run, controller)
             if neck := description.tables.group(NECK):
                 yaw, *others = neck
                 for look in LOOKS[-1:] if quick else LOOKS:
@@ -124,6 +134,21 @@ def record(
     Timeline([*motions, *asked]).save(bag.with_suffix(".json"))
     run.files += [bag, bag.with_suffix(".json")]
     return Session(description, Timeline(motions), Timeline(asked), refused)
+
+
+def _activate(run: Run, controller: str) -> None:
+    """Activate a controller of the VRC. Raises ValorError: it is rejected."""
+    from controller_manager_msgs.srv import SwitchController
+
+    from valor.valorctl.drive.ros_client import RosClient
+
+    with RosClient(run.instance, run.interruption.check) as ros:
+        client = ros.node.create_client(SwitchController, "controller_manager/switch_controller")
+        ros.wait(client.service_is_ready, SILENCE, "no service switch_controller")
+        future = client.call_async(SwitchController.Request(activate_controllers=[controller], strictness=2))
+        ros.wait(future.done, SILENCE, "switch_controller: no response")
+        if not (answer := future.result()).ok:
+            raise ValorError(f"{controller} was not activated: {answer.message}")
 
 
 def _arbitrary(run: Run, goals: Goals, devices: _Devices, node: bifrost.Node) -> tuple[list[Motion], list[str]]:

@@ -42,12 +42,17 @@ def run(run: Run) -> None:
     if profile:
         folder = arm_session.variant(run.options.robot, arm_session.PD, run.out / f"{Path(run.options.robot).name}_pd")
         _, real, then = _session(run, "real_arms", ", with the real robot's arms", profile, folder)
+        _, lifted, last = _session(
+            run, "gravity_offset", ", with gravity_offset", profile, folder, controller="gravity_offset"
+        )
         run.text += (
             f" A second time with the arms as they were: actuators {profile} with friction, play, and a right wrist "
             "yaw that hardly turns, whatever its command; and the thesis' untuned PD control without gravity "
-            "compensation (arm_control pd)."
+            "compensation (arm_control pd). A third time so, with the VRC's controller gravity_offset."
         )
-        _compare(run, {"compensated": (arm, timeline), "pd, real arms": (real, then)})
+        _compare(
+            run, {"compensated": (arm, timeline), "pd, real arms": (real, then), "pd, gravity_offset": (lifted, last)}
+        )
         *others, wrist = (abs(one.final_error(then)) for one in real)
         turned = np.abs(real[-1].command["velocity"].value).max()
         run.measures += [
@@ -71,11 +76,11 @@ def _compare(run: Run, series: dict[str, tuple[list[JointSignals], Timeline]]) -
 
 
 def _session(
-    run: Run, name: str, suffix: str, actuators: str | None, folder: Path | None = None
+    run: Run, name: str, suffix: str, actuators: str | None, folder: Path | None = None, *, controller: str = ""
 ) -> tuple[JointSignals | None, list[JointSignals], Timeline]:
     """Record the motions; save plots and CSV. Returns signals of neck yaw, if any, and arm, and the motions."""
     bag = run.out / f"{name}.mcap"
-    session = arm_session.record(run, bag, folder, actuators)
+    session = arm_session.record(run, bag, folder, actuators, controller=controller)
     timeline, robot = session.presets, session.robot
     run.progress.waiting("reading the joints' signals")
     recording = Recording(Bag(bag), robot)

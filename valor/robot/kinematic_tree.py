@@ -25,6 +25,8 @@ class Link(msgspec.Struct, frozen=True):
     joint: str  # hinge between them; empty if fixed
     axis: tuple[float, float, float]  # of the hinge, in the link, unit length
     anchor: tuple[float, float, float]  # of the hinge, in the link [m]
+    mass: float  # [kg]
+    com: tuple[float, float, float]  # in the link [m]
 
 
 class Frame(msgspec.Struct, frozen=True):

@@ -58,6 +58,8 @@ def read(robot: RobotDescription) -> KinematicTree:
                 mj.joint(first).name if count else "",
                 tuple(mj.jnt_axis[first].tolist()) if count else (0.0, 0.0, 1.0),
                 tuple(mj.jnt_pos[first].tolist()) if count else (0.0, 0.0, 0.0),
+                float(mj.body_mass[i]),
+                tuple(mj.body_ipos[i].tolist()),
             )
         )
     bodies = {link.name for link in links} | {base}

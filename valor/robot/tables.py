@@ -186,7 +186,7 @@ class ArmPd(Table):
 
     gain: Positive = 3.0  # velocity set-point per position error [1/s]
     damping: NonNegative = 0.1  # velocity set-point per velocity error
-    horizon: Positive = 0.1  # from the measured position to the position set-point, at that velocity [s]
+    horizon: Positive = 0.1  # position set-point from the measured position, per excess of that velocity [s]
 
     def stiffness(self, servo_stiffness: FloatArray, servo_damping: FloatArray) -> FloatArray:
         """Return the torque per position error at rest, of servos with these gains [N·m/rad, N·m·s/rad]."""

@@ -3,7 +3,7 @@
 A PD controller on the measured joints q determines the motors' set-points from the Whole-Body Controller's, q* and q̇*:
 
     velocity = q̇* + gain·(q* − q) + damping·(q̇* − q̇)
-    position = q + horizon·velocity
+    position = q + horizon·(velocity − q̇*)
     effort   = 0
 
 A joint that carries τ rests at q* − τ/k, with ``ArmPd.stiffness`` k; its motor's position set-point is off by a part of
@@ -37,5 +37,5 @@ class ArmPdControl:
         asked += gains.damping * (rate - state.joint_velocity[joints])
         command.velocity[joints] = velocity = np.clip(asked, -self._fastest, self._fastest)
         command.effort[joints] = 0.0
-        self._offsets[joints] = position + gains.horizon * velocity - command.position[joints]
+        self._offsets[joints] = position + gains.horizon * (velocity - rate) - command.position[joints]
         return self._offsets

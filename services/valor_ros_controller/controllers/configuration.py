@@ -66,6 +66,12 @@ class TrackingControllerConfig(Table):
     goals: str
 
 
+class OffsetControllerConfig(Table):
+    """Controller of offsets that are added to the commands of others."""
+
+    groups: tuple[str, ...]
+
+
 class ControllersTable(Table):
     """``controllers.yaml``."""
 
@@ -75,6 +81,7 @@ class ControllersTable(Table):
     joint_controllers: dict[str, TrajectoryControllerConfig]
     tracking_controllers: dict[str, TrackingControllerConfig]
     robot_controllers: dict[str, TrajectoryControllerConfig] = field(default_factory=dict)
+    offset_controllers: dict[str, OffsetControllerConfig] = field(default_factory=dict)
 
     @classmethod
     def load(cls, file: Path = FILE) -> Self:
@@ -94,6 +101,7 @@ class ControllersTable(Table):
             joint_controllers=present(self.joint_controllers),
             tracking_controllers=present(self.tracking_controllers),
             robot_controllers=present(self.robot_controllers),
+            offset_controllers=present(self.offset_controllers),
         )
 
     def bases(self, name: str) -> tuple[str, str]:
@@ -107,7 +115,8 @@ class ControllersTable(Table):
 
     @property
     def names(self) -> frozenset[str]:
-        return frozenset((*self.joint_controllers, *self.tracking_controllers, *self.robot_controllers))
+        controllers = (self.joint_controllers, self.tracking_controllers, self.robot_controllers)
+        return frozenset(name for each in (*controllers, self.offset_controllers) for name in each)
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ class JointTrajectoryController(Controller):
             return
         self.writing, self._state_time = True, hw.time
         self._trajectory.delay(hw.time - self._waiting_since)
-        moved = np.abs(hw.commanded[self.joints] - self.position)
+        moved = np.abs(hw.held(self.joints) - self.position)
         if self._request is None:
             self._hold_motion_system(hw)
         elif moved.max() > MOVED:
@@ -205,7 +205,7 @@ class JointTrajectoryController(Controller):
 
     def _hold_motion_system(self, hw: ValorEscherHWInterface) -> None:
         """Set the set-point to the Motion System's."""
-        self.position[:] = self.limits.position_within(hw.commanded[self.joints])
+        self.position[:] = self.limits.position_within(hw.held(self.joints))
         self._state[1:] = 0.0
         self._state_time = hw.time
         self._trajectory = Trajectory.holding(hw.time, self.position)

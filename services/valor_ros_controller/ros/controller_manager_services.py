@@ -47,18 +47,12 @@ class ControllerManagerServices:
         ):
             node.create_service(kind, f"{NAMESPACE}/{name}", callback)
 
-    def _state(self) -> tuple[frozenset[str], dict[int, str]]:
-        """Active controllers, and claims, at one moment."""
-        return self._queue.call(
-            lambda: (
-                frozenset(name for manager in self._switch.managers for name in manager.active),
-                self._hw.claims,
-            )
-        )
+    def _active(self) -> frozenset[str]:
+        """Active controllers at one moment."""
+        return self._queue.call(lambda: frozenset(name for each in self._switch.managers for name in each.active))
 
     def _list_controllers(self, _: Any, response: Any) -> Any:
-        active, claims = self._state()
-        owners = set(claims.values())
+        active = self._active()
         for name, controller in self._known.items():
             joints = [self._hw.names[i] for i in getattr(controller, "joints", ())]
             commands = [f"{joint}/{i}" for joint in joints for i in getattr(controller, "command_interfaces", ())]
@@ -68,7 +62,7 @@ class ControllerManagerServices:
                     state="active" if name in active else "inactive",
                     type=controller.type,
                     update_rate=self._rate,
-                    claimed_interfaces=commands if name in owners else [],
+                    claimed_interfaces=commands if name in active else [],
                     required_command_interfaces=commands,
                     required_state_interfaces=[f"{joint}/{i}" for joint in joints for i in _REQUIRED],
                 )
@@ -102,7 +96,7 @@ class ControllerManagerServices:
 
     def _configure(self, request: Any, response: Any) -> Any:
         """Succeed for an inactive controller, which is configured already."""
-        active, _ = self._state()
+        active = self._active()
         response.ok = request.name in self._known and request.name not in active
         if not response.ok:
             state = "is active" if request.name in active else "does not exist"
