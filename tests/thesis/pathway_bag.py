@@ -16,6 +16,7 @@ FOLLOWED = 1  # control periods, from the Proprioceptor that set-points answer t
 OBEYED = 2  # control periods, from the Proprioceptor that a Motor answers to the one that reports that it is obeyed
 PLANT = 0.030  # by which joints come behind the Motor in force [s]
 CYCLE, TO_DRIVER, ACTED = 5, 0.0004, 0.007  # of a driver: periods a command, delays of its messages [s]
+HANDED_ON = 2  # control periods, from the first Proprioceptor after a driver's state to the one with its positions
 CHANGE, REPORT = 0.012, 0.005  # of a mode [s]
 MOTIONS = (1.0, 3.0)  # when one is asked for [s]
 MODES = ((0.2, "stand_manipulate"), (5.2, "stand"))
@@ -104,7 +105,7 @@ def _drive(add: Any, robot: RobotDescription, k: int) -> None:
     """A command to the driver that carries the Motor of a period, and the state that reports that it acted."""
     joints = robot.tables.group(ARM)
     at, count = k * PERIOD + TO_MOTOR + TO_DRIVER, 10_000_000 + k
-    received = np.ceil((at + ACTED) / PERIOD) * PERIOD  # the first Proprioceptor sent after the state
+    received = (np.ceil((at + ACTED) / PERIOD) + HANDED_ON) * PERIOD
     position = np.zeros(len(joints))
     position[joints.index(JOINT)] = control_value(k * PERIOD + TO_MOTOR - THROUGH)
     add(at, f"/bifrost/comms_manager/hdt/{ARM}/command", "valor_msgs/msg/HdtCommand", sequence=count,

@@ -14,7 +14,7 @@ from harness import analysis_bag
 from tests.thesis.test_end_effector import NOMINAL, REACH, ROBOT, swaying
 from thesis.analysis.end_effector import Hand
 from thesis.analysis.timeline import Motion, Timeline
-from thesis.experiments import arm_session
+from thesis.experiments import arm_session, end_effector
 from thesis.experiments.arm_session import Session
 from thesis.experiments.experiment import Options, Run
 from thesis.experiments.table import BY_NAME
@@ -97,6 +97,18 @@ def test_what_the_base_does_is_distinguished_in_the_numbers(result: tuple[Result
     assert numbers["real arms: from set-points at rest, largest"] < 2.0
 
 
+def test_the_bases_share_is_a_ratio_of_sums_and_not_a_mean_of_ratios() -> None:
+    share = end_effector._share("share", np.array([0.01, 0.03]), np.array([0.02, 0.12]), "½", "why")
+    assert share.value == pytest.approx(0.04 / 0.14)  # upside down it were 3.5; the ratios' mean is 0.375
+    assert share.note == "sum over the poses by sum; of single poses 0.25–0.50; why"
+
+
+def test_axes_that_are_logarithmic_are_said_to_be(result: tuple[Result, Path]) -> None:
+    captions = {picture.reproduces: picture.caption for picture in result[0].pictures}
+    assert captions["Figure 5.8"].endswith("fixed base. Axes are logarithmic beyond ±1 cm and beyond ±1 °.")
+    assert "logarithmic" not in captions["Figure 5.9"] and "pale: the goal's arm" in captions["Figure 5.7"]
+
+
 def test_arbitrary_goals_are_reported_by_way_and_side_or_with_the_reason(result: tuple[Result, Path]) -> None:
     found, out = result
     rows = {row[0]: row[1:] for row in found.tables[3].rows}
@@ -108,6 +120,10 @@ def test_arbitrary_goals_are_reported_by_way_and_side_or_with_the_reason(result:
     ahead, behind = (rows[f"this system's own way, {where}"] for where in ("ahead", "behind"))
     assert (ahead[1], ahead[5], behind[5]) == ("–", "0", "1") and float(ahead[3].split(", ")[0]) < 2.0
     assert float(behind[3].split(", ")[0]) > 2.0
+    numbers = measured(found)
+    middle, most = (numbers[f"arbitrary goals, as in the thesis: from the goal at rest, {name}"]
+                    for name in ("median", "largest"))  # fmt: skip
+    assert most == pytest.approx(whole, abs=0.06) and middle < 0.9 * most  # of one far and one near
     reported = next(measure for measure in found.measures if measure.name == "arbitrary goals out of reach")
     assert reported.value == 2.0
     assert reported.note == "2 behind: 50 mm left; 3 ahead: refused (as in the thesis, real arms)"
@@ -123,8 +139,8 @@ def test_tables_pictures_and_files_are_those_of_the_thesis(result: tuple[Result,
     kept, ours, _ = ([float(value) for value in table.rows[0][1:5]] for table in found.tables[:3])
     assert kept[3] > 5.0 and max(map(abs, ours)) < 0.2
     assert [picture.reproduces for picture in found.pictures if picture.reproduces] == [
-        "Figure 5.8", "Figure 5.9", "Figure 5.11", "Figure 5.12", "Figures 5.7, 5.10", "Figure 5.13", "Figure 5.14",
-        "Figure 5.15",
+        "Figure 5.8", "Figure 5.9", "Figure 5.11", "Figure 5.12", "Figure 5.7", "Figure 5.10", "Figure 5.13",
+        "Figure 5.14", "Figure 5.15",
     ]  # fmt: skip
     assert all((out / picture.file).stat().st_size > 5_000 for picture in found.pictures)
     assert Result.load(out / FILE) == found

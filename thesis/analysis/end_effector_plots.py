@@ -30,8 +30,9 @@ _FAR = 15.0  # values beyond which the small ones could not be seen any more [cm
 _MIDDLE = np.array([0.0, -0.12, 1.12])  # of the pictures, on the ground below the pelvis: room for a right arm [m]
 
 
-def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: Path) -> Path:
-    """Position above and orientation below, by component, over time."""
+def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: Path) -> tuple[Path, str]:
+    """Position above and orientation below, by component, over time; returns also what the axes are, as text."""
+    logarithmic = []
     figure, panels = _two_panels()
     at = track.time - track.time[0]
     for row, (axes, values, names, unit) in enumerate(
@@ -47,10 +48,12 @@ def errors(track: HandTrack, error: PoseError, title: str, subtitle: str, file: 
         if row == 0:
             axes.plot(at, np.linalg.norm(values, axis=1), color=style.GREY, linewidth=0.9, label="distance")
         _finish(axes, at, np.array([values.min(), np.linalg.norm(values, axis=1).max() if row == 0 else values.max()]))
-        _show_small(axes, values)
+        if _show_small(axes, values):
+            logarithmic.append(f"beyond ±1 {unit.strip('[]')}")
         _name(axes, at, track, columns=4)
     style.heading(figure, title, subtitle)
-    return style.save(figure, file)
+    axes_are = f" Axes are logarithmic {' and '.join(logarithmic)}." if logarithmic else ""
+    return style.save(figure, file), axes_are
 
 
 def base(kept: HandTrack, ours: HandTrack, file: Path) -> Path:
@@ -81,31 +84,24 @@ def base(kept: HandTrack, ours: HandTrack, file: Path) -> Path:
 
 
 def shares(track: HandTrack, file: Path) -> Path:
-    """The error at rest after each motion: the whole, the floating base's part and the joints' (figure 5.15)."""
-    figure = style.figure(11.0, 4.6)
-    axes = figure.add_axes((0.06, 0.12, 0.925, 0.62))
-    style.quiet(axes, "", "", "at rest [cm]")
-    parts = (
-        ("from the goal, all causes", style.GREY, track.total_error),
-        ("by the floating base", style.MEASURED, track.base_error),
-        ("by the joints: measured from set-points", style.COMMAND, track.tracking_error),
-    )
-    width, largest = 0.8 / len(parts), 0.0
-    for place, motion in enumerate(track.motions):
-        rest = track.settled(motion)
-        for i, (_, color, error) in enumerate(parts):
-            value = 100.0 * float(error.distance[rest].mean()) if rest.any() else 0.0
-            at = place + (i - 1) * width
-            axes.bar(at, value, 0.9 * width, color=color)
-            axes.annotate(f"{value:.1f}", (at, value), (0, 2), textcoords="offset points", ha="center", fontsize=7.5,
-                          color=style.GREY)  # fmt: skip
-            largest = max(largest, value)
-    axes.set_xticks(range(len(track.motions)), [motion.name for motion in track.motions])
-    axes.tick_params(axis="x", labelcolor=style.INK)
-    axes.grid(False, axis="x")
-    axes.set_ylim(0.0, 1.12 * max(largest, 1.0))
-    key(figure, [style.sample(name, color, 6.0) for name, color, _ in parts])
-    told = f"at rest at most {largest:.1f} cm; parts in different directions do not add up"
+    """The whole error and the floating base's part over time: components above, magnitudes below (figure 5.15)."""
+    figure, (above, below) = _two_panels()
+    at = track.time - track.time[0]
+    parts = (("from the goal", track.total_error, "-"), ("by the floating base", track.base_error, "--"))
+    limit = 0.0
+    for name, error, line in parts:
+        for i, axis in enumerate(_AXES):
+            label = axis if line == "-" else None
+            above.plot(at, 100.0 * error.position[:, i], line, color=style.SERIES[i], linewidth=1.3, label=label)
+        below.plot(at, 100.0 * error.distance, line, color=style.INK, linewidth=1.4, label=name)
+        settled = np.any([track.settled(motion) for motion in track.motions], axis=0)
+        limit = max(limit, 100.0 * float(error.distance[settled].max(initial=0.05)))
+    for axes, title in ((above, "components: solid from the goal, dashed by the base"), (below, "magnitudes")):
+        style.quiet(axes, title, "robot time [s]" if axes is below else "", "[cm]")
+        axes.set_xlim(at[0], at[-1])
+        axes.set_ylim(-1.5 * limit if axes is above else -0.25 * limit, 1.5 * limit)  # below: the bands
+        _name(axes, at, track)
+    told = f"at rest at most {limit:.1f} cm; what is farther, on the way to a new goal, is cut off"
     style.heading(figure, "Whose error it is", told)
     return style.save(figure, file)
 
@@ -125,11 +121,15 @@ def torso(track: HandTrack, file: Path) -> Path:
     return style.save(figure, file)
 
 
-def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Path) -> Path:
-    """The robot at rest at some poses on its floating base, and as a ghost where a fixed base would have had it.
+def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Path, *, fixed: bool = False) -> Path:
+    """The robot at rest at some poses, and a ghost with the goal's arm on the base where it was at first.
 
-    The ghost's arm is the one wanted; the line is the hand's way; above stands how far hand and torso are off.
+    The base is the floating one, or ``fixed`` where it was at first. The line is the hand's way; above stands how far
+    hand and torso are off.
     """
+    hand, off_by = (track.fixed, PoseError.of(track.fixed, track.reference)) if fixed else (
+        track.floating, track.total_error,
+    )  # fmt: skip
     motions = {motion.name: motion for motion in track.motions}
     chosen = [motions[name] for name in names if name in motions]
     width, height = _PANEL
@@ -137,9 +137,11 @@ def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Pa
         images = []
         for motion in chosen:
             posture = recording.posture(motion.end)
-            scene.look_at(posture.pelvis_position * (1.0, 1.0, 0.0) + _MIDDLE, distance=3.1, azimuth=140.0)
             ghost = _wanted(recording, track, motion)
-            way = track.floating.position[(track.time >= motion.start) & (track.time <= motion.end)][::_THIN]
+            if fixed:
+                posture = replace(ghost, joint_position=_with_arm(recording, ghost, posture.joint_position, motion))
+            scene.look_at(posture.pelvis_position * (1.0, 1.0, 0.0) + _MIDDLE, distance=3.1, azimuth=140.0)
+            way = hand.position[(track.time >= motion.start) & (track.time <= motion.end)][::_THIN]
             seen = scene.draw(posture, marks.trace(way, style.MEASURED, 0.005)).astype(float)
             images.append((seen + _GHOST * (scene.draw(ghost) - seen)).round().astype(np.uint8))
     header = 84
@@ -149,10 +151,10 @@ def poses(recording: Recording, track: HandTrack, names: Sequence[str], file: Pa
         figure.figimage(image, xo=i * width, yo=0, origin="upper")
         rest = track.settled(motion)
         moved = 100.0 * float(track.base_error.distance[rest].mean())
-        off = 100.0 * float(track.total_error.distance[rest].mean())
+        off = 100.0 * float(off_by.distance[rest].mean())
         middle, top = (i + 0.5) / len(chosen), share + (1.0 - share) * 0.66
         figure.text(middle, top, motion.name, ha="center", va="center", fontsize=15, color=style.INK, weight="bold")
-        text = f"hand off by {off:.1f} cm; the torso gave way by {moved:.1f} cm"
+        text = f"hand off by {off:.1f} cm" + ("" if fixed else f"; the torso gave way by {moved:.1f} cm")
         figure.text(middle, top - (1.0 - share) * 0.36, text, ha="center", va="center", fontsize=9.5, color=style.GREY)
     return style.save(figure, file, _DPI)
 
@@ -164,6 +166,14 @@ def _wanted(recording: Recording, track: HandTrack, motion: Motion) -> Posture:
     for joint, goal in motion.goal.items():
         joints[robot.index[joint]] = goal
     return replace(first, joint_position=joints)
+
+
+def _with_arm(recording: Recording, posture: Posture, measured: FloatArray, motion: Motion) -> FloatArray:
+    """(n,) joints of a posture, those of a motion as measured."""
+    joints = posture.joint_position.copy()
+    arm = [recording.robot.index[joint] for joint in motion.goal]
+    joints[arm] = measured[arm]
+    return joints
 
 
 def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:
@@ -180,16 +190,17 @@ def _finish(axes: Axes, at: FloatArray, values: FloatArray) -> None:
     axes.set_ylim(low - 0.18 * room, high + 0.12 * room)  # below: the bands
 
 
-def _show_small(axes: Axes, values: FloatArray) -> None:
-    """Where values reach far beyond those at rest, what lies beyond one unit is drawn by its logarithm."""
+def _show_small(axes: Axes, values: FloatArray) -> bool:
+    """Where values reach far beyond those at rest, draw what lies beyond one unit by its logarithm; returns whether."""
     largest = float(np.abs(values).max())
     if largest < _FAR:
-        return
+        return False
     axes.set_yscale("symlog", linthresh=1.0, linscale=1.0)
     ticks = [0.0, *(sign * 10.0**power for power in range(int(np.log10(largest)) + 1) for sign in (-1.0, 1.0))]
     axes.set_yticks(sorted(ticks), [f"{tick:g}" for tick in sorted(ticks)])
     axes.minorticks_off()
     axes.set_ylim(-5.0 * largest, 2.0 * largest)  # below: the bands
+    return True
 
 
 def _name(axes: Axes, at: FloatArray, track: HandTrack, columns: int = 3, top: float = 1.24) -> None:

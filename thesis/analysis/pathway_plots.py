@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from thesis.analysis.figures import keys, make_room
-from thesis.analysis.pathways import Latencies, Segment
+from thesis.analysis.pathways import Latencies, Pathway, Segment
 from valor.analysis import style
 from valor.analysis.bands import bands, color
 
@@ -36,14 +36,15 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
         for place, segment in enumerate(latencies.segments):
             if not len(segment.by_stamps):
                 continue
-            at, mean, deviation = place + offset, 1e3 * segment.mean, 1e3 * segment.deviation
+            at, mean = place + offset, 1e3 * segment.mean
+            low, high = _ends(segment)
             axes.bar(at, mean, 0.92 * width, color=_COLORS[segment.where], alpha=1.0 if i == len(found) - 1 else 0.45)
-            axes.errorbar(at, mean, deviation, color=style.INK, linewidth=1.0, capsize=2.5)
+            axes.errorbar(at, low, [[0.0], [high - low]], fmt="none", ecolor=style.INK, elinewidth=1.0, capsize=2.5)
             axes.plot(at, 1e3 * segment.median, "D", color="white", markeredgecolor=style.INK, markersize=4.0, zorder=3)
-            axes.annotate(f"{mean:.1f}", (at, mean + deviation), (0, 3), textcoords="offset points", ha="center",
+            axes.annotate(f"{mean:.1f}", (at, max(mean, high)), (0, 3), textcoords="offset points", ha="center",
                           fontsize=8, color=style.GREY)  # fmt: skip
             under.append((at, _behavior(latencies, segment)))
-            bottom, top = min(bottom, mean - deviation), max(top, mean + deviation)
+            top = max(top, mean, high)
             if len(segment.by_correlation):
                 shift = 1e3 * float(segment.by_correlation.mean())
                 axes.plot(at, shift, "x", color=style.INK, markersize=6.0, zorder=3)
@@ -70,7 +71,8 @@ def bars(found: Mapping[str, Latencies], file: Path) -> Path:
     style.heading(
         figure,
         "How long each step takes",
-        "from one message sent to the next: means ± one standard deviation; diamonds: medians; crosses: by correlation",
+        "from one message sent to the next: means; lines: 5th to 95th percentile; diamonds: medians; "
+        "crosses: by correlation",
     )
     return style.save(figure, file)
 
@@ -105,9 +107,9 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
                     under.append(_behavior(latencies, segment))
                     axes.barh(at - 0.42, step, 0.12, left=end, color=color(under[-1]))
                 end += step
-            total, deviation = 1e3 * pathway.mean, 1e3 * pathway.deviation
-            axes.errorbar(total, at, xerr=deviation, color=style.GREY, linewidth=1.0, capsize=3)
-            end = max(end, total + deviation)
+            total, (low, high) = 1e3 * pathway.mean, _ends(pathway)
+            axes.errorbar(low, at, xerr=[[0.0], [high - low]], fmt="none", ecolor=style.INK, elinewidth=1.0, capsize=3)
+            end = float(np.nanmax((end, total, high)))
             highest = max(highest, end)
             text = f"{total:.1f} ms (thesis: {thesis[pathway.name]})"
             axes.annotate(
@@ -121,7 +123,7 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
     handles = [style.sample(name, shade, 6.0) for name, shade in used.items()]
     style.legend(figure, handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=4)
     style.legend(figure, keys(under), loc="lower right", bbox_to_anchor=(0.99, 0.0), ncols=1)
-    style.heading(figure, "From end to end", "the segments of each pathway; lines: one standard deviation of the sum")
+    style.heading(figure, "From end to end", "the segments' means, by stamps; lines: 5th to 95th percentile of the sum")
     return style.save(figure, file)
 
 
@@ -164,6 +166,12 @@ def over_time(found: Mapping[str, Latencies], file: Path) -> Path:
     style.legend(figure, seen, loc="lower right", bbox_to_anchor=(0.99, 0.0), ncols=1)
     style.heading(figure, "When they were met", "a point a latency; the highest of a hundred are cut off")
     return style.save(figure, file)
+
+
+def _ends(latency: Segment | Pathway) -> tuple[float, float]:
+    """5th and 95th percentile [ms]."""
+    low, high = latency.interval
+    return 1e3 * low, 1e3 * high
 
 
 def _behavior(latencies: Latencies, segment: Segment) -> str:

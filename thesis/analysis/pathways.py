@@ -22,6 +22,7 @@ positions (``pathway_lags.py``), as the thesis has all of them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,6 +35,14 @@ from valor.analysis.reading.bag import Bag
 from valor.analysis.reading.recording import nearest
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
+
+DRAWS = 20_000  # of a sum, for its percentiles
+
+
+def interval(samples: FloatArray) -> tuple[float, float]:
+    """5th and 95th percentile; NaN without samples."""
+    low, high = np.quantile(samples, (0.05, 0.95)) if len(samples) else (np.nan, np.nan)
+    return float(low), float(high)
 
 
 @dataclass(frozen=True)
@@ -60,9 +69,14 @@ class Segment:
         return float(self.by_stamps.mean()) if len(self.by_stamps) else float("nan")
 
     @property
-    def deviation(self) -> float:
-        """Standard deviation [s]; NaN without samples."""
-        return float(self.by_stamps.std()) if len(self.by_stamps) else float("nan")
+    def interval(self) -> tuple[float, float]:
+        """5th and 95th percentile [s]; NaN without samples."""
+        return interval(self.by_stamps)
+
+    @property
+    def behind(self) -> float:
+        """Mean lag by correlation [s]; by stamps where no signal goes through."""
+        return float(self.by_correlation.mean()) if len(self.by_correlation) else self.mean
 
     @property
     def median(self) -> float:
@@ -88,9 +102,17 @@ class Pathway:
         return sum(segment.median for segment in self.segments)
 
     @property
-    def deviation(self) -> float:
-        """Of the sum of independent segments [s]."""
-        return float(np.sqrt(sum(segment.deviation**2 for segment in self.segments)))
+    def behind(self) -> float:
+        """The sum of the segments' lags by correlation, the thesis' method [s]."""
+        return sum(segment.behind for segment in self.segments)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """5th and 95th percentile of the sum of segments, each drawn independently of the others [s]."""
+        if not all(len(segment.by_stamps) for segment in self.segments):
+            return interval(np.empty(0))
+        rng = np.random.default_rng(0)
+        return interval(np.sum([rng.choice(segment.by_stamps, DRAWS) for segment in self.segments], axis=0))
 
 
 @dataclass(frozen=True)
@@ -127,6 +149,28 @@ class Latencies:
             Pathway("proprioception", (states,)),
             Pathway("joint command", (reference, motor, command, plant)),
         )
+
+    @classmethod
+    def together(cls, runs: Sequence[Latencies]) -> Latencies:
+        """Samples of several runs, as if each had begun when the one before it ended."""
+        begins = np.cumsum([0.0, *(run.time[-1] - run.time[0] for run in runs[:-1])])
+        shifts = [begin - run.time[0] for begin, run in zip(begins, runs, strict=True)]
+        segments = [
+            Segment(
+                each[0].name,
+                each[0].where,
+                np.concatenate([one.by_stamps for one in each]),
+                np.concatenate([one.at + shift for one, shift in zip(each, shifts, strict=True)]),
+                np.concatenate([one.by_correlation for one in each]),
+            )
+            for each in zip(*(run.segments for run in runs), strict=True)
+        ]
+        first = (np.concatenate([getattr(run.first, name) for run in runs]) for name in ("vec", "motor", "measured"))
+        return cls(
+            tuple(segments), FirstMilliradian(*first), runs[0].driven,
+            np.concatenate([run.time + shift for run, shift in zip(runs, shifts, strict=True)]),
+            np.concatenate([run.behavior for run in runs]),
+        )  # fmt: skip
 
     @classmethod
     def of(cls, bag: Bag, robot: RobotDescription) -> Latencies:

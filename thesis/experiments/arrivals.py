@@ -36,7 +36,7 @@ def tell(run: Run, found: Mapping[str, Sequence[Arrival]], refused: Mapping[str,
                "out of reach"],
               [row for way, there in found.items() for row in _rows(way, there)])
     )  # fmt: skip
-    run.measures += [_measure(way, there) for way, there in found.items()]
+    run.measures += [measure for way, there in found.items() for measure in _measures(way, there)]
     run.measures.append(_out_of_reach(found, refused))
     run.files.append(hand_goals.write_csv(found, run.out / "arbitrary_goals.csv"))
     run.picture([hand_goals.plot(found, run.out / "arbitrary_goals.png")],
@@ -62,12 +62,15 @@ def _pair(values: Sequence[float]) -> str:
     return f"{np.median(values):.1f}, {max(values):.1f}" if values else "–"
 
 
-def _measure(way: str, there: Sequence[Arrival]) -> Measure:
+def _measures(way: str, there: Sequence[Arrival]) -> list[Measure]:
+    """Median and largest distance from the goal."""
     distance = 100.0 * np.array([one.distance for one in there])
-    note = f"largest {distance.max():.1f}" if distance.size else "none was gone to"
-    thesis = {KEPT: "3–6, of presets", REAL: "10 at most"}.get(way, "")
-    value = float(np.median(distance)) if distance.size else None
-    return Measure(f"arbitrary goals, {way}: from the goal at rest, median", value, "cm", thesis, note)
+    thesis = {KEPT: "3–6, of presets", REAL: "10, of presets"}.get(way, "")
+    return [
+        Measure(f"arbitrary goals, {way}: from the goal at rest, {name}", float(of(distance)) if there else None, "cm",
+                thesis, "" if there else "none was gone to")
+        for name, of in (("median", np.median), ("largest", np.max))
+    ]  # fmt: skip
 
 
 def _out_of_reach(found: Mapping[str, Sequence[Arrival]], refused: Mapping[str, Sequence[str]]) -> Measure:

@@ -38,6 +38,9 @@ READ = (PROPRIOCEPTOR, MOTION_STATE, JOINT_SETPOINTS, GROUND_TRUTH, HAND_GOAL, H
 THESIS: dict[str, dict[str, Any]] = {"whole_body": {"com_shift_limit": 0.0}, **arm_session.UNCOMPENSATED}
 
 
+SEEN = "Solid: as measured; pale: the goal's arm on a base that stays; line: the hand's way there."
+
+
 def run(run: Run) -> None:
     """Move the right arm to predefined configurations: as in the thesis, with its arms, and as this system does."""
     folder = arm_session.variant(run.options.robot, THESIS, run.out / f"{Path(run.options.robot).name}_thesis")
@@ -93,14 +96,16 @@ def _draw(run: Run, session: _Session, ours: HandTrack) -> None:
         (kept.total_error, "total", "How far the hand is from its goal", "measured, floating base, from the goal",
          "Figure 5.11"),
     ):  # fmt: skip
-        made = plots.errors(kept, error, title, subtitle, run.out / f"end_effector_{name}.png")
-        run.picture([made], f"{title}: {subtitle}.", figure)
+        made, axes = plots.errors(kept, error, title, subtitle, run.out / f"end_effector_{name}.png")
+        run.picture([made], f"{title}: {subtitle}.{axes}", figure)
     run.picture([plots.base(kept, ours, run.out / "end_effector_base.png")],
                 "The hand's pose with the base where it is, from that with the base where it was; and the same where "
                 "the center of mass goes with the arm.", "Figure 5.12")  # fmt: skip
     run.picture([plots.torso(kept, run.out / "end_effector_torso.png")], "The torso's motion.")
-    run.picture([plots.poses(session.recording, kept, _names(kept), run.out / "end_effector_poses.png")],
-                "The robot at rest at each pose.", "Figures 5.7, 5.10")  # fmt: skip
+    for name, fixed, figure in (("fixed", True, "Figure 5.7"), ("poses", False, "Figure 5.10")):
+        made = plots.poses(session.recording, kept, _names(kept), run.out / f"end_effector_{name}.png", fixed=fixed)
+        base = "where it was at first, as clients take it" if fixed else "where it is"
+        run.picture([made], f"The robot at rest at each pose, its base {base}. {SEEN}", figure)
 
 
 def _names(track: HandTrack) -> list[str]:
@@ -114,12 +119,14 @@ def _draw_real(run: Run, session: _Session) -> None:
 
     track = session.track
     run.picture([plots.poses(session.recording, track, _names(track), run.out / "real_arms_poses.png")],
-                "The robot at rest at each pose, with the real robot's arms.", "Figure 5.13")  # fmt: skip
-    made = plots.errors(track, track.tracking_error, "How the real robot's arms follow the VRC",
-                        "measured from its set-points, fixed base", run.out / "real_arms_tracking.png")  # fmt: skip
-    run.picture([made], "Errors that stay: play, weight, and a wrist that does not turn (yaw).", "Figure 5.14")
+                f"The robot at rest at each pose, with the real robot's arms, its base where it is. {SEEN}",
+                "Figure 5.13")  # fmt: skip
+    title, subtitle = "How the real robot's arms follow the VRC", "measured from its set-points, fixed base"
+    made, axes = plots.errors(track, track.tracking_error, title, subtitle, run.out / "real_arms_tracking.png")
+    run.picture([made], f"Errors that stay: play, weight, and a wrist that does not turn (yaw).{axes}", "Figure 5.14")
     run.picture([plots.shares(track, run.out / "real_arms_shares.png")],
-                "How far the hand is from its goal, and the floating base's part of it.", "Figure 5.15")  # fmt: skip
+                "How far the hand is from its goal (solid), and the floating base's part of it (dashed): components, "
+                "and below them magnitudes.", "Figure 5.15")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -177,8 +184,8 @@ def _measure(run: Run, kept: HandTrack, ours: HandTrack, real: HandTrack | None)
                 100.0 * float(np.abs(kept.base_error.position).max()), "cm", "5",
                 "likewise, on the way included"),
         Measure("from the goal at rest, largest", 100.0 * float(total.max()), "cm"),
-        Measure("share of the base in it", float((moved[away] / total[away]).mean()), "", "",
-                "near 1: the joints reach their goals, what is left is the base's"),
+        _share("share of the base in it", moved[away], total[away], "",
+               "near 1: the joints reach their goals, what is left is the base's"),
         Measure("orientation at rest, largest angle", float(np.rad2deg(turned.max())), "°", "converges to 0",
                 "the same: the torso's orientation is held, so that it only shifts"),
         Measure("by the floating base where the CoM goes with the arm, largest at a pose",
@@ -196,11 +203,18 @@ def _measure(run: Run, kept: HandTrack, ours: HandTrack, real: HandTrack | None)
                 "large and persistent (hardware)", "the same: play and weight, without gravity compensation"),
         Measure("real arms: from the goal at rest, largest", 100.0 * float(total.max()), "cm", "10 (hardware)",
                 "the same size; the play of 7 cm is the thesis', poses and friction are ours"),
-        Measure("real arms: share of the base in it", float((moved[away] / total[away]).mean()), "",
-                "a little under ½ (hardware)", "distances do not add up where directions differ"),
+        _share("real arms: share of the base in it", moved[away], total[away], "a little under ½ (hardware)",
+               "distances do not add up where directions differ"),
         Measure("real arms: yaw at rest from set-points, largest", float(np.rad2deg(yaw.max())), "°",
                 "large (hardware)", "the same: the wrist yaw, where a pose wants it turned"),
     ]  # fmt: skip
+
+
+def _share(name: str, moved: FloatArray, total: FloatArray, thesis: str, why: str) -> Measure:
+    """Errors due to the base over errors from the goal: their sums over the poses, and of single poses (n,) [m]."""
+    single = moved / total
+    note = f"sum over the poses by sum; of single poses {single.min():.2f}–{single.max():.2f}; {why}"
+    return Measure(name, float(moved.sum() / total.sum()), "", thesis, note)
 
 
 def _at_rest(track: HandTrack) -> tuple[FloatArray, FloatArray, FloatArray]:

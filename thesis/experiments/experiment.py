@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
+from thesis.analysis import rates
 from thesis.report.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor.common.errors import ValorError
 from valor.common.instance import ClockMode, Instance, Link, Recording, Settings
@@ -49,6 +50,7 @@ class Run:
     tables: list[Table] = field(default_factory=list)
     pictures: list[Picture] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)
+    rates: list[dict[str, float]] = field(default_factory=list)  # of each recorded system
 
     @property
     def out(self) -> Path:
@@ -65,6 +67,7 @@ class Run:
         actuators: str | None = None,
         recording: Recording | None = None,
         page: bool = False,
+        sensors: tuple[str, ...] = (),
     ) -> Iterator[Settings]:
         """Start a separate system for the block; it is stopped in any case.
 
@@ -75,6 +78,7 @@ class Run:
             actuators: profile of imperfections; default that of the command line.
             recording: what is recorded; default everything.
             page: whether to add both ends of a link, with the operator's page behind it.
+            sensors: simulated sensors to add.
         """
         if bag is not None:
             bag.unlink(missing_ok=True)  # of an earlier run: the recorder would choose another name
@@ -82,16 +86,20 @@ class Run:
         request = Request(
             profile=profile or options.profile, robot=str(robot or options.robot), clock=options.clock,
             actuators=actuators or options.actuators, seed=options.seed, bag=bag, recording=recording or Recording(),
-            view=page, link=Link(domain=_behind(self.instance) if page else None),
+            view=page, link=Link(domain=_behind(self.instance) if page else None), sensors=sensors,
         )  # fmt: skip
         with startup.running(self.instance, request, self.progress, self.interruption) as settings:
-            self._note({
+            rate = RobotDescription.load(settings.robot, settings.control_rate).tables.control_rate
+            self.note({
                 "robot": settings.robot.name, "profile": settings.profile, "clock": settings.clock,
                 "actuators": settings.actuators, "world": settings.world, "seed": str(settings.seed),
+                f"{rates.TICK} asked for at": f"{rate:g} Hz",
             })  # fmt: skip
             yield settings
+        if bag is not None and bag.exists():
+            self.rates.append(rates.achieved(bag))
 
-    def _note(self, settings: dict[str, str]) -> None:
+    def note(self, settings: dict[str, str]) -> None:
         """Store the settings of a system; of several systems all distinct values."""
         for key, value in settings.items():
             known = self.settings.setdefault(key, value)
@@ -160,8 +168,9 @@ class Experiment:
             raise
         result = Result(
             experiment=self.name, title=self.title, reproduces=self.reproduces, command=command, started=started,
-            quick=options.quick, settings=run.settings, host=host, text=run.text, measures=run.measures,
-            tables=run.tables, pictures=run.pictures, files=[str(file.relative_to(run.out)) for file in run.files],
+            quick=options.quick, settings=run.settings | rates.told(run.rates), host=host, text=run.text,
+            measures=run.measures, tables=run.tables, pictures=run.pictures,
+            files=[str(file.relative_to(run.out)) for file in run.files],
             seconds=round(time.monotonic() - began, 1),
         )  # fmt: skip
         try:

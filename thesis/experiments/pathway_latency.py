@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import bifrost
-from thesis.analysis import pathway_plots
+from thesis.analysis import pathway_plots, rates
 from thesis.analysis.conversions import Conversion, conversions
 from thesis.analysis.pathway_taps import ARM, CONTROLLER, MODE_COMMAND, MODE_REPORT, REFERENCE, TOPICS
 from thesis.analysis.pathways import Latencies, Segment
@@ -21,7 +21,7 @@ from valor.analysis.reading.bag import Bag
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import ControlMode
 from valor.common.errors import ValorError
-from valor.common.instance import Recording
+from valor.common.instance import Recording, Settings
 from valor.common.topics import PROPRIOCEPTOR
 from valor.robot.description import RobotDescription
 from valor.valorctl.drive.node import join
@@ -33,24 +33,26 @@ MODES = (
     ControlMode.STAND_MANIPULATE,
     ControlMode.STAND,
 )  # commanded alternately; an even number ends in manipulation
-RATE = 250.0  # of the controller's state, one per update [Hz]
-COMMANDS, QUICK_COMMANDS = 40, 2
-CHANGES, QUICK_CHANGES = 40, 2
+RUNS = 3  # systems, one after the other
+COMMANDS, QUICK_COMMANDS = 14, 2  # a run
+CHANGES, QUICK_CHANGES = 14, 2
 POINTS, INTERVAL = 3, 0.4  # of each motion; time between points [s]
 SWING = 0.15  # maximum distance from the initial posture [rad]
 FLOOR_RATE = 50.0  # of the doubles that the floor is measured with [Hz]
-DOUBLES, QUICK_DOUBLES = 1000, 25
+DOUBLES, QUICK_DOUBLES = 400, 25
 REST = 0.7  # between two motions or mode changes [robot time, s]
 PATIENCE = 20.0  # [s]
-_THESIS = {"mode change": "49", "proprioception": "40", "joint command": "335"}
+VRC, VRC_RATE = "valor_ros_controller", "VRC's updates asked for at"
+JOINT_COMMAND = "joint command"
+_THESIS = {"mode change": "49", "proprioception": "40", JOINT_COMMAND: "335"}
 _WHY = {
     "mode change": "the same messages; each wakes who waits for it, where threads slept between two looks there",
     "proprioception": "the same conversion; each Proprioceptor wakes the VRC, whose threads slept between looks there",
-    "joint command": "most of it was the real Motion System's and the arm's; simulated servos answer within tens of ms",
+    JOINT_COMMAND: "most of it was the real Motion System's and the arm's; simulated servos answer within tens of ms",
 }
 _TRANSPORTS = {"ros": "ROS 2", "bifrost": "Bifrost"}
 _NOTES = {
-    "Reference → VEC": "to the Proprioceptor that the first moving control values answer; the VRC updates at 250 Hz",
+    "Reference → VEC": "to the Proprioceptor that the first moving control values answer",
     "VEC → MSetpoint": "JointSetpoints name that Proprioceptor's time; the whole update of the VRC is in it",
     "VEC → Motor": "MotionState names the set-points that its Motor follows",
     "Prop. → JS": "joint states name the Proprioceptor's time; the VRC is woken by what comes",
@@ -69,29 +71,40 @@ _TO_PLANT = {
 }
 
 
+ABBREVIATIONS = (
+    "Reference: a client's JointTrajectory; VEC (Valor Escher Controller): control values of the VRC; MSetpoint: the "
+    "VRC's set-points for the Motion System (JointSetpoints); Motor: the Motion System's command of all joints; HDT "
+    "Cmd.: the command that leaves for the arm's motor controllers; Prop. (Proprioceptor): what the Motion System "
+    "measured; JS: joint states on ROS."
+)
+
+
 def run(run: Run) -> None:
     """Command motions and mode changes, with ideal actuators and with the imperfections of the profile."""
     profiles = [run.options.actuators] if run.options.quick else list(dict.fromkeys(["ideal", run.options.actuators]))
-    found: dict[str, Latencies] = {}
-    bounds: dict[str, list[Conversion]] = {}
-    for profile in profiles:
-        bag = run.out / f"pathway_latency_{profile}.mcap"
-        robot, floors = _record(run, bag, profile)
-        run.progress.waiting("computing latencies")
-        found[profile] = Latencies.of(Bag(bag), robot)
-        bounds[profile] = conversions(found[profile], floors)
-        run.files.append(bag)
+    runs: dict[str, list[Latencies]] = {profile: [] for profile in profiles}
+    floors: dict[str, list[dict[str, FloatArray]]] = {profile: [] for profile in profiles}
+    for number in range(1, 1 + (1 if run.options.quick else RUNS)):
+        for profile in profiles:
+            bag = run.out / f"pathway_latency_{profile}_{number}.mcap"
+            robot, floor = _record(run, bag, profile, number)
+            run.progress.waiting("computing latencies")
+            runs[profile].append(Latencies.of(Bag(bag), robot))
+            floors[profile].append(floor)
+            run.files.append(bag)
+    found = {profile: Latencies.together(each) for profile, each in runs.items()}
+    commands, changes = (QUICK_COMMANDS, QUICK_CHANGES) if run.options.quick else (COMMANDS, CHANGES)
     run.text = (
-        f"The right arm is given {QUICK_COMMANDS if run.options.quick else COMMANDS} short trajectories of "
-        f"{POINTS} random points each as JointTrajectory messages, and the VRC "
-        f"{QUICK_CHANGES if run.options.quick else CHANGES} mode changes between {MODES[0]} and {MODES[1]}, all over "
-        "ROS topics; latencies are computed from the bag alone. Each is from when a message was sent to when the next "
-        "of the pathway was, by the stamps of messages that name one another. Beside it is the thesis' method: the "
-        "shift of the largest cross-correlation of the joints' positions, one a motion and joint. It tells how far a "
-        "signal is behind, not how old what it was made of is: set-points are extrapolated to when they act, and "
-        "joints are led by feed-forward, so that it can be less than the messages took, even below zero. What a "
-        "conversion costs is at most the segment less what the transport takes at least that its first message came "
-        f"by: doubles from process to process, {FLOOR_RATE:.0f} a second, in the same system after the last motion."
+        f"In {len(runs[profiles[-1]])} systems, one after the other, the right arm is given {commands} short "
+        f"trajectories of {POINTS} random points each as JointTrajectory messages, and the VRC {changes} mode changes "
+        f"between {MODES[0]} and {MODES[1]}, all over ROS topics; latencies are computed from the bags alone. Each is "
+        "from when a message was sent to when the next of the pathway was, by the stamps of messages that name one "
+        "another. Beside it is the thesis' method: the shift of the largest cross-correlation of joints' positions, "
+        "one a motion and joint. It tells how far a signal is behind, not how old what it was made of is: set-points "
+        "are extrapolated to when they act, and joints are led by feed-forward, so that it can be less than the "
+        "messages took, even below zero. What a conversion costs is at most the segment less what the transport takes "
+        f"at least that its first message came by: doubles from process to process, {FLOOR_RATE:.0f} a second, in the "
+        f"same system after the last motion. {ABBREVIATIONS}{_rates(run)}"
     )
     if len(profiles) > 1:
         run.text += (
@@ -99,31 +112,65 @@ def run(run: Run) -> None:
             f"({profiles[-1]})."
         )
     for profile, latencies in found.items():
-        run.tables += [_table(profile, latencies), _first(profile, latencies), _bounds(profile, bounds[profile])]
-    for profile, latencies in found.items():
-        for pathway in latencies.pathways:
-            run.measures.append(
-                Measure(f"{pathway.name}, {profile}", _ms(pathway.mean), "ms", _THESIS[pathway.name],
-                        f"{1e3 * pathway.median:.1f} by medians; {_WHY[pathway.name]}")
-            )  # fmt: skip
-        told = next(each for each in bounds[profile] if each.segment.name == "Prop. → JS")
+        floor = {each: np.concatenate([one[each] for one in floors[profile]]) for each in floors[profile][0]}
+        bounds = conversions(latencies, floor)
+        run.tables += [_table(profile, latencies), _first(profile, latencies), _bounds(profile, bounds)]
+        run.measures += _measures(profile, latencies, runs[profile])
+        told = next(each for each in bounds if each.segment.name == "Prop. → JS")
         run.measures.append(
             Measure(f"conversion of states at most, {profile}", _ms(told.median), "ms", "39.8",
-                    "the median less the quickest of Bifrost's doubles in the same run")
+                    "the median less the quickest of Bifrost's doubles in the same runs")
         )  # fmt: skip
     run.files.append(_write_csv(found, run.out / "pathway_latency.csv"))
     run.picture([pathway_plots.bars(found, run.out / "pathway_latency_segments.png")],
-                "Mean latency of each segment; the lines are one standard deviation.", "Figure 5.2")  # fmt: skip
+                "Mean latency of each segment by stamps; the lines reach from the 5th to the 95th percentile, diamonds "
+                "are medians, crosses means by correlation.", "Figure 5.2")  # fmt: skip
     run.picture([pathway_plots.sums(found, _THESIS, run.out / "pathway_latency_pathways.png")],
-                "The segments of each pathway, one behind the other.", "Figure 5.3")  # fmt: skip
+                "The segments' means of each pathway by stamps, one behind the other; the lines reach from the 5th to "
+                "the 95th percentile of the sum of independent segments.", "Figure 5.3")  # fmt: skip
     run.picture([pathway_plots.over_time(found, run.out / "pathway_latency_over_time.png")],
-                "Every latency when it was met; below, what the Motion System did.")  # fmt: skip
+                "Every latency when it was met, run after run; below, what the Motion System did.")  # fmt: skip
+
+
+def _rates(run: Run) -> str:
+    """What came of the rates asked for."""
+    tick = run.settings.get(f"{rates.TICK} asked for at", "")
+    came = ", ".join(f"{name} {value}" for name, value in rates.told(run.rates).items())
+    return f" Asked for at {tick}, {came}; the VRC, and the joint states with it, at {run.settings[VRC_RATE]}."
+
+
+def _measures(profile: str, latencies: Latencies, runs: Sequence[Latencies]) -> list[Measure]:
+    """Means by stamps, of the joint command also by correlation and to the first milliradian; runs by themselves."""
+    made = []
+    for i, pathway in enumerate(latencies.pathways):
+        note = f"by stamps; {1e3 * pathway.median:.1f} by medians; {_WHY[pathway.name]}"
+        thesis = "" if pathway.name == JOINT_COMMAND else _THESIS[pathway.name]
+        made.append(Measure(f"{pathway.name}, {profile}", _ms(pathway.mean), "ms", thesis,
+                            f"{note}; {_each([one.pathways[i].mean for one in runs])}"))  # fmt: skip
+    i, pathway = next((i, each) for i, each in enumerate(latencies.pathways) if each.name == JOINT_COMMAND)
+    made += [
+        Measure(f"{JOINT_COMMAND} by correlation, {profile}", _ms(pathway.behind), "ms", _THESIS[JOINT_COMMAND],
+                f"the thesis' method, with the plant in it; {_each([one.pathways[i].behind for one in runs])}"),
+        Measure(f"{JOINT_COMMAND} to the first milliradian, {profile}", _ms(_mean(latencies.first.measured)), "ms", "",
+                "from a reference to when a joint is seen to move; "
+                + _each([_mean(one.first.measured) for one in runs])),
+    ]  # fmt: skip
+    return made
+
+
+def _each(values: Sequence[float]) -> str:
+    """Means of runs [s], as text."""
+    return f"runs: {', '.join(f'{1e3 * value:.1f}' for value in values)}"
+
+
+def _mean(samples: FloatArray) -> float:
+    return float(samples.mean()) if len(samples) else float("nan")
 
 
 # --- recording --------------------------------------------------------------------------------------------------
 
 
-def _record(run: Run, bag: Path, profile: str) -> tuple[RobotDescription, dict[str, FloatArray]]:
+def _record(run: Run, bag: Path, profile: str, number: int) -> tuple[RobotDescription, dict[str, FloatArray]]:
     """Start a system, command it, and stop it; the bag is then complete.
 
     Returns:
@@ -135,7 +182,7 @@ def _record(run: Run, bag: Path, profile: str) -> tuple[RobotDescription, dict[s
     from valor.valorctl.drive.ros_client import RosClient
 
     quick = run.options.quick
-    rng = np.random.default_rng(run.options.seed)
+    rng = np.random.default_rng([run.options.seed, number])
     with run.system(bag=bag, actuators=profile, recording=Recording(only=TOPICS)) as settings:
         robot = RobotDescription.load(settings.robot)
         with join(run.instance, "experiment") as node, RosClient(run.instance, run.interruption.check) as ros:
@@ -145,7 +192,9 @@ def _record(run: Run, bag: Path, profile: str) -> tuple[RobotDescription, dict[s
             # Subscribers: VRC and recorder.
             modes = ros.publisher(VigirControlModeCommand, MODE_COMMAND, 2)
             arm = ros.publisher(JointTrajectory, REFERENCE, 2)
-            _set_parameter(ros, "valor_ros_controller", f"{CONTROLLER.rpartition('/')[2]}.state_publish_rate", RATE)
+            rate = vrc_rate(ros, settings)
+            run.note({VRC_RATE: f"{rate:g} Hz"})
+            _set_parameter(ros, VRC, f"{CONTROLLER.rpartition('/')[2]}.state_publish_rate", rate)
             changes = QUICK_CHANGES if quick else CHANGES
             for i in range(changes + 1):  # the last one enables manipulation
                 mode = MODES[i % 2]
@@ -168,6 +217,18 @@ def _record(run: Run, bag: Path, profile: str) -> tuple[RobotDescription, dict[s
             run.progress.done(f"{profile}: {commands} motions")
         floors = ipc_latency.measure(run, "processes", FLOOR_RATE, QUICK_DOUBLES if quick else DOUBLES)
     return robot, floors
+
+
+def vrc_rate(ros: RosClient, settings: Settings) -> float:
+    """Rate of the VRC's updates, a divisor of the control rate [Hz]."""
+    from rcl_interfaces.srv import GetParameters
+
+    client = ros.node.create_client(GetParameters, f"{VRC}/get_parameters")
+    ros.wait(client.service_is_ready, PATIENCE, f"{VRC}: no service get_parameters")
+    got = client.call_async(GetParameters.Request(names=["update_rate"]))
+    ros.wait(got.done, PATIENCE, f"{VRC} does not tell its update_rate")
+    control = RobotDescription.load(settings.robot, settings.control_rate).tables.control_rate
+    return control / max(1, round(control / float(got.result().values[0].double_value)))
 
 
 def _set_parameter(ros: RosClient, node: str, name: str, value: float) -> None:
@@ -231,7 +292,7 @@ def _ms(seconds: float) -> float | None:
 
 
 def _table(profile: str, latencies: Latencies) -> Table:
-    columns = ["segment", "mean", "sd", "median", "samples", "by correlation", "sd", "samples", "by stamps"]
+    columns = ["segment", "mean", "5 %", "median", "95 %", "samples", "by correlation", "sd", "samples", "by stamps"]
     notes = _NOTES | _TO_PLANT[latencies.driven]
     return Table(
         f"Segments, {profile} [ms]", columns, [_row(segment, notes[segment.name]) for segment in latencies.segments]
@@ -242,9 +303,7 @@ def _first(profile: str, latencies: Latencies) -> Table:
     """Table of the time to a joint's first milliradian, and its parts."""
     first = latencies.first
     messages = latencies["Reference → VEC"].mean + latencies["VEC → Motor"].mean
-    begun = float(first.vec.mean()) if len(first.vec) else float("nan")
-    moved = float(first.motor.mean()) if len(first.motor) else float("nan")
-    seen = float(first.measured.mean()) if len(first.measured) else float("nan")
+    begun, moved, seen = (_mean(each) for each in (first.vec, first.motor, first.measured))
     through = latencies["VEC → Motor"].mean
     rows = [
         ("VEC", begun, "what is asked begins at rest"),
@@ -271,12 +330,12 @@ def _bounds(profile: str, found: Sequence[Conversion]) -> Table:
 
 
 def _row(segment: Segment, note: str) -> list[str]:
-    row = [segment.name]
-    for samples, has_median in ((segment.by_stamps, True), (segment.by_correlation, False)):
-        values = [samples.mean(), samples.std(), np.median(samples)] if len(samples) else []
-        shown = [f"{1e3 * value:.2f}" for value in (values if has_median else values[:2])]
-        row += (shown or ["–"] * (3 if has_median else 2)) + [str(len(samples))]
-    return [*row, note]
+    stamps, lags = segment.by_stamps, segment.by_correlation
+    low, high = segment.interval
+    shown = [segment.mean, low, segment.median, high]
+    behind = [f"{1e3 * value:.2f}" for value in (lags.mean(), lags.std())] if len(lags) else ["–"] * 2
+    return [segment.name, *(f"{1e3 * value:.2f}" if len(stamps) else "–" for value in shown), str(len(stamps)),
+            *behind, str(len(lags)), note]  # fmt: skip
 
 
 def _write_csv(found: Mapping[str, Latencies], file: Path) -> Path:
