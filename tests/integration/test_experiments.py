@@ -52,12 +52,17 @@ def test_experiments_leave_results_and_a_report_gathers_them(system: System, hom
     assert 0.0 < numbers["encoder after motor command, mean"] < 200.0
 
     result, numbers = measured(out, "pathway-latency")
-    samples = {row[0]: int(row[4]) for row in result["tables"][0]["rows"]}
+    samples = {row[0]: int(row[5]) for row in result["tables"][0]["rows"]}
     assert len(samples) == 8
     assert all(samples.values()), samples
     assert samples["Mode change reported"] == 3
     for pathway in ("mode change", "proprioception", "joint command"):
         assert 0.0 < numbers[f"{pathway}, hardware"] < 2000.0
+    assert numbers["joint command to the first milliradian, hardware"] > numbers["joint command, hardware"]
+    for rate in ("control tick", "motor commands", "joint states"):
+        came = float(result["settings"][f"{rate} came at"].split()[0])
+        assert came > 10.0 and f"{rate} came at {came:.0f} Hz" in result["text"]
+    assert result["settings"]["control tick asked for at"] == "500 Hz"
     with open(out / "pathway-latency" / "pathway_latency.csv") as file:
         stamped = [float(row["latency_ms"]) for row in csv.DictReader(file) if row["method"] == "stamps"]
     assert min(stamped) >= 0.0

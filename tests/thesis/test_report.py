@@ -18,12 +18,14 @@ from PIL import Image
 
 from harness import analysis_bag
 from harness.places import REPOSITORY, ROBOTS
+from tests.thesis import pathway_bag
+from thesis.analysis import rates
 from thesis.analysis.joint_signals import JointSignals, draw, neck
 from thesis.analysis.process_statistics import Sampler, write_csv
 from thesis.analysis.timeline import Motion, Timeline
 from thesis.errors import ResultError, SignalError
 from thesis.report import chapters, page
-from thesis.report.document import SUMMARY, markdown
+from thesis.report.document import SUMMARY, conclusion, markdown
 from thesis.report.results import FAILURE_FILE, FILE, Failure, Measure, Picture, Result, Table, host_facts
 from valor.analysis.reading.bag import Bag
 from valor.analysis.reading.recording import Recording
@@ -140,6 +142,29 @@ def test_a_report_begins_with_ten_numbers_that_the_experiments_measure() -> None
     text = markdown([chapters.Chapter("one", "One", "Table 5.1", Path(), made)])
     row = f"| in short | here | unit | thesis |\n| --- | --: | --- | --- |\n| {SUMMARY[1]} | 73.3 | % | over 150 |\n"
     assert row in text
+
+
+def test_what_follows_for_messages_is_computed_and_not_told() -> None:
+    measures = [
+        Measure("Bifrost, mean", 300.0, "µs", "200"), Measure("ROS 2 (rclpy, Fast DDS), mean", 500.0, "µs", "160"),
+        Measure("mode change, hardware", 50.0, "ms", "49"), Measure("proprioception, hardware", 2.5, "ms", "40"),
+        Measure("joint command, hardware", 2.0, "ms"),
+    ]  # fmt: skip
+    text = conclusion([msgspec.structs.replace(result(), measures=measures)])
+    for words in ("200 and 250 times less", "5.0 and 8.3 times less than the shortest (proprioception, hardware)",
+                  "0.7 and 0.9 orders", "became 16 times shorter", "1.5 to 3.1 times as long", "by 8 %"):  # fmt: skip
+        assert words in text
+    assert conclusion([msgspec.structs.replace(result(), measures=measures[1:])]) == ""
+
+
+def test_rates_are_those_of_the_messages_in_the_bags(tmp_path: Path) -> None:
+    pathway_bag.write(tmp_path / "a.mcap", ROBOT)
+    came = rates.achieved(tmp_path / "a.mcap")
+    assert came == pytest.approx({"control tick": 500.0, "motor commands": 500.0, "joint states": 250.0}, rel=1e-3)
+    told = rates.told([came, came | {"joint states": 99.6}, {}])
+    assert told == {
+        "control tick came at": "500 Hz", "motor commands came at": "500 Hz", "joint states came at": "100–250 Hz",
+    }  # fmt: skip
 
 
 def test_processes_are_measured_as_busy_as_they_are(tmp_path: Path) -> None:

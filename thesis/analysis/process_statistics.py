@@ -5,9 +5,10 @@ Percent of one core since the previous sample, from the same counters as ``top``
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
@@ -47,15 +48,17 @@ class Sampler:
         began: start of sampling, monotonic [s].
     """
 
-    def __init__(self, pids: Mapping[str, int]) -> None:
+    def __init__(self, pids: Mapping[str, int], families: Collection[str] = ()) -> None:
         """Start sampling.
 
         Args:
             pids: of the processes, by name.
+            families: names of those that count together with their descendants.
 
         Raises:
             SignalError: a process does not run; names it.
         """
+        self._families = families
         self._processes: dict[str, psutil.Process] = {}
         self.began = time.monotonic()
         self._rows: dict[str, list[tuple[float, float, float]]] = {name: [] for name in pids}
@@ -73,10 +76,10 @@ class Sampler:
         Raises:
             SignalError: a process has ended; names it.
         """
-        for name, process in self._processes.items():
+        for name in self._processes:
             try:
                 now, used = time.monotonic(), self._seconds(name)
-                memory = process.memory_info().rss / _MIB
+                memory = self._sum(name, lambda one: one.memory_info().rss) / _MIB
             except psutil.NoSuchProcess:
                 raise SignalError(f"{name}: ended while it was measured") from None
             before, used_before = self._before[name]
@@ -88,8 +91,16 @@ class Sampler:
         return {name: Usage(*np.array(rows, dtype=np.float64).reshape(-1, 3).T) for name, rows in self._rows.items()}
 
     def _seconds(self, name: str) -> float:
-        times = self._processes[name].cpu_times()
-        return float(times.user + times.system)
+        return self._sum(name, lambda one: sum(one.cpu_times()[:2]))
+
+    def _sum(self, name: str, of: Callable[[psutil.Process], float]) -> float:
+        """Sum over a process, and over its descendants if it is a family; those may end at any time."""
+        process = self._processes[name]
+        total = of(process)
+        for each in process.children(recursive=True) if name in self._families else ():
+            with contextlib.suppress(psutil.NoSuchProcess):
+                total += of(each)
+        return total
 
 
 def write_csv(usage: Mapping[str, Usage], file: Path) -> Path:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 SIDE: Side = "right"
 HAND = 1  # as messages count them
-COUNT, QUICK = 30, 10
+COUNT, QUICK = 16, 10
 WHERE = ("ahead", "behind")
 MOVING, REACHED, OUT_OF_REACH = "moving", "reached", "out_of_reach"
 PATIENCE = 20.0  # timeout of the acceptance of a goal [s]

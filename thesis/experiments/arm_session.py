@@ -14,15 +14,26 @@ from typing import TYPE_CHECKING, Any, Literal
 import yaml
 
 import bifrost
+from thesis.analysis.pathway_taps import JOINT_STATES
 from thesis.analysis.timeline import Motion, Timeline
 from thesis.experiments import arbitrary_goals
 from thesis.experiments.arbitrary_goals import HandGoalClient, HandTarget
+from valor.analysis.reading.recording import recorded
 from valor.common.behaviors import ControlMode
 from valor.common.document import Document
 from valor.common.errors import ValorError
+from valor.common.instance import Recording
 from valor.common.messages import Proprioceptor
 from valor.common.resources import robot_folder
-from valor.common.topics import PROPRIOCEPTOR
+from valor.common.topics import (
+    GROUND_TRUTH,
+    HAND_GOAL,
+    HAND_GOAL_STATUS,
+    JOINT_SETPOINTS,
+    MOTION_STATE,
+    MOTOR,
+    PROPRIOCEPTOR,
+)
 from valor.robot.description import RobotDescription
 from valor.valorctl.drive import arm_motion, control_mode
 from valor.valorctl.drive.node import join, next_message
@@ -42,6 +53,9 @@ PD = {"arm_control": "pd"}  # the thesis' control of the arms (5.3.1)
 ARM, NECK = "right_arm", "neck"
 POSES = ("forward", "home", "side", "home", "up", "home", "fold", "home")
 TURNED = 0.4  # last joint of the wrist in poses other than home, which no preset rotates [rad]
+TOPICS = (JOINT_STATES, *(recorded(topic) for topic in (
+    PROPRIOCEPTOR, MOTOR, MOTION_STATE, JOINT_SETPOINTS, GROUND_TRUTH, HAND_GOAL, HAND_GOAL_STATUS,
+)))  # fmt: skip
 LOOKS = (0.6, -0.6, 0.0)  # of the neck's yaw [rad]
 
 
@@ -112,7 +126,7 @@ def record(
     """
     quick = run.options.quick
     motions: list[Motion] = []
-    with run.system(bag=bag, robot=robot, actuators=actuators) as settings:
+    with run.system(bag=bag, robot=robot, actuators=actuators, recording=Recording(only=TOPICS)) as settings:
         description = RobotDescription.load(settings.robot)
         with join(run.instance, "experiment") as node:
             devices = _Devices(description, PROPRIOCEPTOR.subscriber(node), run)

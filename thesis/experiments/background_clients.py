@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -17,10 +19,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import psutil
 
 from thesis.experiments.arm_goals import ArmGoals
 from valor.common.errors import ValorError, require_one_of
 from valor.common.instance import Instance
+from valor.common.viewing import page_port, scene_port, url
 from valor.robot.description import RobotDescription
 from valor.robot.step_plan import plan_to
 from valor.ros.limbs import FEET, WRENCH
@@ -35,6 +39,11 @@ ENDING = 10.0  # timeout of the end after SIGTERM [s]
 PLANS, PERIOD = 20, 0.5  # plans per cycle; period of the cycles [s]
 FARTHEST = 3.0  # maximum distance of the goals of the feet [m]
 READY = "ready"
+BROWSER = "chromium"
+NICE, OPENING = 10, 150.0  # its priority, as if it were on another computer; timeout of its view [s]
+# Of a computer without a graphics card; a small window, for another computer draws in reality.
+_ARGUMENTS = ("--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--window-size=640,400",
+              "--enable-unsafe-swiftshader", "--disable-background-networking", "--no-first-run")  # fmt: skip
 _JOINTS = "joint_states"
 
 
@@ -93,7 +102,7 @@ ROLES: dict[str, Callable[[RosClient, Instance], None]] = {"operator": operator,
 
 @contextlib.contextmanager
 def working(run: Run) -> Iterator[dict[str, int]]:
-    """Run all clients of a running system during the block.
+    """Run all clients of a running system during the block, and a browser at its page if there is one.
 
     Yields:
         Their process ids, by role.
@@ -114,20 +123,43 @@ def working(run: Run) -> Iterator[dict[str, int]]:
             assert process.stdout is not None
             if process.stdout.readline().strip() != READY:  # it ends after its timeout
                 raise ValorError(f"{role}: ended before it received messages of the robot")
+        if shutil.which(BROWSER):
+            began[BROWSER] = _browse(run)
         yield {role: process.pid for role, process in began.items()}
         if ended := [role for role, process in began.items() if process.poll() is not None]:
             raise ValorError(f"{', '.join(ended)}, ended during the measurement")
     finally:
         for process in began.values():
-            process.terminate()
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)  # a browser is many
         for process in began.values():
             try:
                 process.wait(ENDING)
             except subprocess.TimeoutExpired:
-                process.kill()
+                os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
             if process.stdout is not None:
                 process.stdout.close()
+
+
+def _browse(run: Run) -> subprocess.Popen[str]:
+    """Start a browser at the operator's page, at a low priority, and wait until the view is connected."""
+    settings = run.instance.settings()
+    command = ["nice", "-n", str(NICE), BROWSER, *_ARGUMENTS, f"--user-data-dir={run.out / BROWSER}"]
+    process = subprocess.Popen([*command, url(page_port(settings))], stdout=subprocess.DEVNULL,
+                               stderr=subprocess.DEVNULL, text=True, start_new_session=True)  # fmt: skip
+    run.progress.waiting("opening the page in a browser")
+    deadline = time.monotonic() + OPENING
+    while not any(
+        one.raddr and one.raddr.port == scene_port(settings) and one.status == psutil.CONN_ESTABLISHED
+        for one in psutil.net_connections("tcp")
+    ):
+        run.interruption.check()
+        if time.monotonic() > deadline or process.poll() is not None:
+            os.killpg(process.pid, signal.SIGKILL)
+            raise ValorError(f"{BROWSER}: does not show the page {url(page_port(settings))}")
+        time.sleep(0.5)
+    return process
 
 
 def _note(received: set[str], topic: str, _message: Any) -> None:

@@ -4,25 +4,56 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from thesis.analysis import rates
 from thesis.analysis.process_statistics import Sampler, Usage, plot, write_csv
 from thesis.experiments import background_clients
+from thesis.experiments.background_clients import BROWSER
 from thesis.experiments.experiment import Run
+from thesis.experiments.pathway_latency import vrc_rate
 from thesis.report.results import Measure, Table
+from valor.common.processes import SENSORS
+from valor.common.resources import robot_folder
 from valor.common.topics import CONTROL_MODE, PROPRIOCEPTOR, STATISTICS, Topic
+from valor.robot.description import RobotDescription
 from valor.valorctl.drive.node import join, next_message
 from valor.valorctl.instance.supervision import Supervisor
 from valor.valorctl.terminal.console import bar
 
-SECONDS, QUICK = 300.0, 3.0
+if TYPE_CHECKING:
+    from valor.common.instance import Settings
+
+SECONDS, BESIDE, QUICK = 120.0, 40.0, 3.0  # as in the thesis' table; of what it has not
 PERIOD = 0.5  # sampling period [s]
 PATIENCE = 10.0  # timeout of a message [s]
 _VRC = "valor_ros_controller"
-_DOES = {"simulation": "simulates the robot here", "hardware": "speaks to devices, too, which are emulated here"}
+_SIMULATION, _OTHER_ROBOT = "sim", "thor"
+_THESIS = {  # table 5.1: simulation, hardware; and why ours differ
+    "VRC processor, mean": ("36", "53", "the same conversions; C++ with a thread a task, on 12 and 8 cores there"),
+    "VRC processor, sd": ("8", "10", f"of samples {PERIOD:g} s apart; theirs are not given"),
+    "VRC processor, max": ("100", "113", "threads add up there; here only the sockets' work beside the loop"),
+    "VRC processor, min": ("13", "15", ""),
+    "VRC memory [MiB]": ("–", "98.3", "here the interpreter, NumPy and rclpy"),
+    "Motion System processor": ("over 150", "over 150", "a core for control there, half of one for devices"),
+}
+
+
+@dataclass(frozen=True)
+class _Condition:
+    """What runs: a system, and what is beside it."""
+
+    name: str  # of files
+    title: str
+    profile: str
+    seconds: float
+    robot: str | None = None  # None: that of the command line
+    others: bool = False  # the page behind a link, and clients
+    sensors: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -34,88 +65,115 @@ class _Stood:
         behaviors: times on the axis of the samples [s], and the behavior at each.
         pace: ratio of robot time to wall clock.
         dropped: messages dropped by the recorder since its start.
+        asked: rates asked for by name [Hz].
+        came: rates achieved, likewise.
     """
 
     usage: dict[str, Usage]
     behaviors: list[tuple[float, str]]
     pace: float
     dropped: int
+    asked: dict[str, float]
+    came: dict[str, float]
+
+    @property
+    def services(self) -> list[Usage]:
+        """Of the robot's processes, without clients."""
+        return [one for name, one in self.usage.items() if name not in (*background_clients.ROLES, BROWSER)]
 
 
 def run(run: Run) -> None:
-    """Stand for five minutes, and sample every process twice a second."""
-    seconds = QUICK if run.options.quick else SECONDS
-    bag = run.out / "process_stats.mcap"
-    accompanied: _Stood | None = None
-    with run.system(bag=bag) as settings:
-        alone = _stand(run, _pids(run), seconds)
-    if run.options.with_clients:
-        run.files.append(run.out / "process_stats_with_clients.mcap")
-        with run.system(bag=run.files[-1], page=True), background_clients.working(run) as others:
-            accompanied = _stand(run, _pids(run) | others, seconds)
-    usage, variant = alone.usage, settings.variant
+    """Stand, and sample every process twice a second: in simulation and on devices, then with what is beside them."""
+    conditions = _conditions(run)
+    found = {each.title: _measure(run, each) for each in conditions}
+    own = next(each.title for each in conditions if each.profile == run.options.profile)
+    stood = found[own]
     run.text = (
-        f"The robot stands in control mode stand, arms at its sides, for {seconds:.0f} s, with every process of the "
-        f"system running and the recorder recording all. Each process is looked at every {PERIOD:g} s. Percentages "
-        "are of one core, as top counts."
+        "The robot stands in control mode stand, arms at its sides, with every process of the system running and the "
+        f"recorder recording all: {', '.join(f'{each.title} {each.seconds:.0f} s' for each in conditions)}. Each "
+        f"process is sampled every {PERIOD:g} s. Percentages are of one core, as top counts; where robot time is not "
+        "the wall's, those per robot second tell what a computer that keeps up would spend."
     )
-    run.tables.append(_table("", usage))
-    vrc = usage[_VRC]
+    if any(each.others for each in conditions):
+        browser = f"a browser that looks at it ({BROWSER}, at a low priority, as if on another computer)"
+        if not any(BROWSER in each.usage for each in found.values()):
+            browser = f"no browser, for this computer has none ({BROWSER})"
+        run.text += (
+            f" With others: both ends of a link and the operator's page behind it, {browser}, an operator's client, "
+            "which hears joints, transforms, forces and states at full rate, and a planner of an arm's ways and of "
+            "steps."
+        )
+    run.tables += [_table(found), _processes(found)]
     run.measures += [
-        Measure("VRC processor, mean", float(vrc.cpu.mean()), "% of one core", "36 simulation, 53 hardware",
-                "the same conversions; C++ with a thread a task, 12 and 8 cores there; one Python loop here"),
-        Measure("VRC processor, sd", float(vrc.cpu.std()), "% of one core", "8 simulation, 10 hardware",
-                "of looks half a second apart; the thesis does not say how far apart its own were"),
-        Measure("VRC processor, max", float(vrc.cpu.max()), "% of one core", "100 simulation, 113 hardware",
-                "tasks' threads add up there; here only the sockets' work beside the loop"),
-        Measure("VRC processor, min", float(vrc.cpu.min()), "% of one core", "13 simulation, 15 hardware",
-                "states come at their full rate while the robot stands, in both"),
-        Measure("VRC memory, mean", float(vrc.memory.mean()), "MiB", "98.3 hardware",
-                "the same size, of other things: here the interpreter, NumPy and rclpy"),
-        Measure("Motion System processor, mean",
-                float(usage["motion_manager"].cpu.mean() + usage["comms_manager"].cpu.mean()), "% of one core",
-                "over 150", f"a core for control there, half of one for devices; the Comms Manager {_DOES[variant]}"),
-        Measure("robot time against the wall's", alone.pace, "", "", "below 1 on a computer too busy for the "
-                "plant: percentages are as much lower"),
-        Measure("recorder processor, mean", float(usage["bag_recorder"].cpu.mean()), "% of one core", "",
-                "every message of every topic, at the control rate"),
-        Measure("recorder, messages dropped", float(alone.dropped), "", "", "of all topics, since it began"),
-        Measure("whole system, mean", float(np.sum([one.cpu.mean() for one in usage.values()])), "% of one core"),
+        Measure("VRC processor, mean", float(stood.usage[_VRC].cpu.mean()), "% of one core",
+                "36 simulation, 53 hardware", "; ".join(f"{name} {one.usage[_VRC].cpu.mean():.1f}, "
+                f"{one.usage[_VRC].cpu.mean() / one.pace:.1f} a robot second" for name, one in found.items())),
+        Measure("Motion System processor, mean", float(_motion_system(stood)), "% of one core", "over 150",
+                "; ".join(f"{name} {_motion_system(one):.1f}" for name, one in found.items())),
+        Measure("robot time against the wall's", stood.pace, "", "", f"{own}; below 1 on a computer too busy"),
     ]  # fmt: skip
-    if accompanied is not None:
-        _tell(run, accompanied)
-    run.files += [bag, write_csv(usage, run.out / "process_stats.csv")]
-    behavior = (np.array([at for at, _ in alone.behaviors]), np.array([name for _, name in alone.behaviors]))
-    run.picture([plot(usage, behavior, run.out / "process_stats.png")],
-                "Processor and memory of every process over time; below, what the Motion System did.")  # fmt: skip
+    for each in conditions:
+        run.files.append(write_csv(found[each.title].usage, run.out / f"process_stats_{each.name}.csv"))
+    behavior = (np.array([at for at, _ in stood.behaviors]), np.array([name for _, name in stood.behaviors]))
+    caption = f"Processor and memory of every process over time, {own}; below, what the Motion System did."
+    run.picture([plot(stood.usage, behavior, run.out / "process_stats.png")], caption)
 
 
-def _tell(run: Run, stood: _Stood) -> None:
-    """Add table 5.1 with clients that work with the robot."""
-    run.text += (
-        " Then a system as long with both ends of a link and the operator's page behind it, with an operator's client, "
-        "which hears joints, transforms, forces and states at full rate, and a planner of an arm's ways and of steps."
-    )
-    run.tables.append(_table(", with the page behind a link, an operator's client and a planner", stood.usage))
-    run.measures += [
-        Measure("VRC processor, mean, with others", float(stood.usage[_VRC].cpu.mean()), "% of one core",
-                "36 simulation, 53 hardware", "the page behind a link, an operator's client and a planner beside it"),
-        Measure("robot time against the wall's, with others", stood.pace, "", "", "likewise"),
-        Measure("recorder, messages dropped, with others", float(stood.dropped), "", "", "of all topics, likewise"),
-    ]  # fmt: skip
-    run.files.append(write_csv(stood.usage, run.out / "process_stats_with_clients.csv"))
+def _conditions(run: Run) -> list[_Condition]:
+    """The thesis' two, of them only the command line's in a short run; with clients also what it has not."""
+    options = run.options
+    names = {_SIMULATION: "simulation"}
+    profiles = [options.profile] if options.quick else list(dict.fromkeys([_SIMULATION, options.profile]))
+    seconds = QUICK if options.quick else SECONDS
+    made = [_Condition(each, names.get(each, each), each, seconds) for each in profiles]
+    if options.with_clients:
+        seconds = QUICK if options.quick else BESIDE
+        own, sensors = names.get(options.profile, options.profile), tuple(SENSORS)
+        made += [
+            _Condition("others", f"{own}, with others", options.profile, seconds, others=True),
+            _Condition("sensors", f"simulation, {', '.join(sensors)}", _SIMULATION, seconds, sensors=sensors),
+            _Condition("robot", f"simulation, {_OTHER_ROBOT}", _SIMULATION, seconds, _OTHER_ROBOT),
+        ]
+    return made
+
+
+def _measure(run: Run, condition: _Condition) -> _Stood:
+    """Measure one system."""
+    bag = run.out / f"process_stats_{condition.name}.mcap"
+    run.files.append(bag)
+    robot = robot_folder(condition.robot) if condition.robot else None
+    before = len(run.rates)
+    with run.system(bag=bag, profile=condition.profile, robot=robot, page=condition.others,
+                    sensors=condition.sensors) as settings:  # fmt: skip
+        asked = _asked(run, settings)
+        with ExitStack() as stack:
+            others = stack.enter_context(background_clients.working(run)) if condition.others else {}
+            stood = _stand(run, _pids(run) | others, condition.seconds)
+    came = run.rates[before] if len(run.rates) > before else {}
+    return _Stood(*stood, asked, came)
+
+
+def _asked(run: Run, settings: Settings) -> dict[str, float]:
+    """Rates asked for: a Motor a control tick, joint states an update of the VRC [Hz]."""
+    from valor.valorctl.drive.ros_client import RosClient
+
+    control = RobotDescription.load(settings.robot, settings.control_rate).tables.control_rate
+    with RosClient(run.instance, run.interruption.check) as ros:
+        return dict(zip(rates.RATED.values(), (control, control, vrc_rate(ros, settings)), strict=True))
 
 
 def _pids(run: Run) -> dict[str, int]:
     return {name: info.pid for name, info in Supervisor(run.instance).processes().items() if info.pid}
 
 
-def _stand(run: Run, pids: Mapping[str, int], seconds: float) -> _Stood:
-    """Sample processes for some seconds."""
+def _stand(
+    run: Run, pids: Mapping[str, int], seconds: float
+) -> tuple[dict[str, Usage], list[tuple[float, str]], float, int]:
+    """Sample processes for some seconds; returns usage, behaviors, pace and dropped messages."""
     behaviors: list[tuple[float, str]] = []
     with join(run.instance, "experiment") as node:
         reports = CONTROL_MODE.subscriber(node, queue=1000)
-        sampler = Sampler(pids)
+        sampler = Sampler(pids, families=(BROWSER,))
         began, robot_time = time.monotonic(), _robot_time(run)
         with bar("standing", seconds, "s") as shown:
             while (elapsed := time.monotonic() - began) < seconds:
@@ -126,13 +184,50 @@ def _stand(run: Run, pids: Mapping[str, int], seconds: float) -> _Stood:
                 run.interruption.check()
         pace = (_robot_time(run) - robot_time) / (time.monotonic() - began)
         dropped = _hear(run, STATISTICS["bag_recorder"]).drops
-    return _Stood(sampler.usage(), behaviors, pace, dropped)
+    return sampler.usage(), behaviors, pace, dropped
 
 
-def _table(suffix: str, usage: Mapping[str, Usage]) -> Table:
-    columns = ["process", "mean", "sd", "max", "min", "memory mean", "memory max"]
-    title = f"Processor [% of one core] and memory [MiB]{suffix}"
-    return Table(title, columns, [_row(name, one) for name, one in usage.items()])
+def _table(found: Mapping[str, _Stood]) -> Table:
+    """Table 5.1, with a column a condition."""
+    rows: dict[str, list[str]] = {}
+    for one in found.values():
+        vrc = one.usage[_VRC]
+        shown = {
+            "VRC processor, mean": vrc.cpu.mean(), "VRC processor, sd": vrc.cpu.std(),
+            "VRC processor, max": vrc.cpu.max(), "VRC processor, min": vrc.cpu.min(),
+            "VRC processor a robot second": vrc.cpu.mean() / one.pace, "VRC memory [MiB]": vrc.memory.mean(),
+            "Motion System processor": _motion_system(one),
+            "Motion System processor a robot second": _motion_system(one) / one.pace,
+            "whole system": np.sum([each.cpu.mean() for each in one.services]),
+        }  # fmt: skip
+        cells = {name: f"{value:.1f}" for name, value in shown.items()} | {
+            "robot time against the wall's": f"{one.pace:.3f}", "recorder, messages dropped": str(one.dropped),
+        }  # fmt: skip
+        for name, rate in one.asked.items():
+            came = f"{one.came[name]:.0f}" if name in one.came else "–"
+            cells[f"{name}, asked for and came [Hz]"] = f"{rate:.0f}, {came}"
+        for name, cell in cells.items():
+            rows.setdefault(name, []).append(cell)
+    nothing = ("–", "–", "")
+    made = [[name, *_THESIS.get(name, nothing)[:2], *cells, _THESIS.get(name, nothing)[2]]
+            for name, cells in rows.items()]  # fmt: skip
+    columns = ["", "thesis, simulation", "thesis, hardware", *found, "what differs, and why"]
+    return Table("Table 5.1: processors [% of one core]", columns, made)
+
+
+def _processes(found: Mapping[str, _Stood]) -> Table:
+    """Every process of every condition."""
+    names = list(dict.fromkeys(name for one in found.values() for name in one.usage))
+    rows = [[name, *(_cell(one.usage.get(name)) for one in found.values())] for name in names]
+    return Table("Every process: processor, mean [% of one core], and memory, largest [MiB]", ["process", *found], rows)
+
+
+def _cell(one: Usage | None) -> str:
+    return "–" if one is None else f"{one.cpu.mean():.1f}, {one.memory.max():.0f}"
+
+
+def _motion_system(stood: _Stood) -> float:
+    return float(stood.usage["motion_manager"].cpu.mean() + stood.usage["comms_manager"].cpu.mean())
 
 
 def _hear(run: Run, topic: Topic[Any]) -> Any:
@@ -143,8 +238,3 @@ def _hear(run: Run, topic: Topic[Any]) -> Any:
 
 def _robot_time(run: Run) -> float:
     return 1e-9 * float(_hear(run, PROPRIOCEPTOR).time)
-
-
-def _row(name: str, one: Usage) -> list[str]:
-    cpu = (one.cpu.mean(), one.cpu.std(), one.cpu.max(), one.cpu.min())
-    return [name, *(f"{value:.1f}" for value in (*cpu, one.memory.mean(), one.memory.max()))]

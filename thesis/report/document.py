@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -21,6 +22,8 @@ SUMMARY = (
     "real arms: from the goal at rest, largest",
 )
 """Names of the ten measures at the beginning of the report."""
+MESSAGES = ("Bifrost", "ROS 2 (rclpy, Fast DDS)")
+PATHWAYS = ("mode change", "proprioception")  # the thesis' number of the joint command is by another method
 TITLE = "Chapter 5, measured again"
 INTRODUCTION = (
     "The numerical results of the thesis from which this system was built, repeated on it: each number beside the one "
@@ -34,7 +37,7 @@ def markdown(chapters: Sequence[Chapter]) -> str:
     command = command_for_all(chapters)
     parts = [f"# {TITLE}", INTRODUCTION, *([f"All of it again:\n\n    {command}"] if command else [])]
     results = [chapter.result for chapter in chapters if chapter.result]
-    parts += [_summary(results)] if results else []
+    parts += [_summary(results), conclusion(results)] if results else []
     for chapter in chapters:
         parts += _section(chapter)
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -74,6 +77,29 @@ def _summary(results: Iterable[Result]) -> str:
     found = {one.name: one for result in results for one in result.measures}
     rows = [(one.name, _number(one.value), one.unit, one.thesis or "–") for name in SUMMARY if (one := found.get(name))]
     return _grid(("in short", "here", "unit", "thesis"), rows, {1}) if rows else ""
+
+
+def conclusion(results: Iterable[Result]) -> str:
+    """What chapter 6.1 concludes of latencies, from ours; empty without both experiments on latencies."""
+    found = {one.name: one for result in results for one in result.measures if one.value}
+    messages = {name: found[f"{name}, mean"] for name in MESSAGES if f"{name}, mean" in found}
+    pathways = [one for name, one in found.items() if name.partition(", ")[0] in PATHWAYS]
+    if len(messages) < len(MESSAGES) or not pathways:
+        return ""
+    shortest = min(pathways, key=lambda one: one.value or 0.0)
+    here, there = 1e3 * (shortest.value or 0.0), 1e3 * float(shortest.thesis)  # [µs]
+    ours = [one.value or 0.0 for one in messages.values()]
+    theirs = [float(one.thesis) for one in messages.values()]
+    least, most = sorted(here / one for one in ours)
+    return (
+        "**Chapter 6.1** concludes that a message takes two orders of magnitude less than the shortest pathway "
+        f"({there / max(theirs):.0f} and {there / min(theirs):.0f} times less), so that the choice between ROS and "
+        f"Bifrost is negligible. Here it takes {least:.1f} and {most:.1f} times less than the shortest "
+        f"({shortest.name}): {math.log10(least):.1f} and {math.log10(most):.1f} orders. The pathway became "
+        f"{there / here:.0f} times shorter, messages {min(a / b for a, b in zip(ours, theirs, strict=True)):.1f} to "
+        f"{max(a / b for a, b in zip(ours, theirs, strict=True)):.1f} times as long; the two ways of sending differ by "
+        f"{100.0 * (max(ours) - min(ours)) / here:.0f} % of it."
+    )
 
 
 def _measures(measures: Sequence[Measure]) -> str:
