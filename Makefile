@@ -171,7 +171,7 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks.hosts
 	$(BIN)/python -m benchmarks.walking --quick
 
-# docs/experiments: chapter 5 of the thesis on emulated devices, in some 45 minutes on a computer that does nothing else.
+# docs/experiments: chapter 5 of the thesis on emulated devices, in some half an hour on a computer that does nothing else.
 # Bags, CSV and the report, also of a run in which something failed, are in build/experiments.
 experiments: $(STAMP)
 	$(BIN)/valorctl experiment all --profile hardware --clock realtime --with-clients --out build/experiments
