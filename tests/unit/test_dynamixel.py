@@ -67,7 +67,7 @@ def bus(tmp_path: Path) -> Iterator[Bus]:
 
 @pytest.fixture
 def port(bus: Bus) -> Iterator[DynamixelPort]:
-    port = DynamixelPort(str(bus.port.link), 3000000)
+    port = DynamixelPort(str(bus.port.path), 3000000)
     yield port
     port.close()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import termios
 import threading
 import time
 from collections.abc import Iterator
@@ -156,7 +158,11 @@ def test_what_came_while_other_devices_were_found_is_not_taken_for_late(bench: B
     driver.find()
     assert isinstance(driver, MicroStrain)
     port = some(driver._port)
-    wait_until(lambda: port.in_waiting > 2000, 10, "twenty-five samples that nobody fetched")
+
+    def waiting() -> int:
+        return int.from_bytes(fcntl.ioctl(port.fileno(), termios.FIONREAD, bytes(4)), "little")
+
+    wait_until(lambda: waiting() > 2000, 10, "twenty-five samples that nobody fetched")
     thread = threading.Thread(target=driver.run, args=(stopping,))
     thread.start()
     try:

@@ -1,7 +1,7 @@
 """Ports of devices: CAN buses by number, serial ports by the device's name.
 
 The instance's settings may specify real ports: ``can0: socketcan:can0``, ``imu: /dev/ttyACM0``. Otherwise a CAN bus is
-sockets of this computer (``EmulatedBus``), a serial port a pseudo-terminal linked to ``ports/<device>`` in its folder.
+sockets of this computer (``EmulatedBus``), a serial port the socket ``ports/<device>`` in the instance's folder.
 """
 
 import contextlib
@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import can
+import serial
 
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Instance, Settings
@@ -87,6 +88,46 @@ CanBus = EmulatedBus | RealBus
 def serial_port(instance: Instance, settings: Settings, device: str) -> Path:
     """Serial port (or socket) of a device."""
     return Path(settings.ports.get(device) or instance.ports / device)
+
+
+class EmulatedLine:
+    """A serial line to an emulator; as ``serial.Serial``, but a read returns the first bytes that are received."""
+
+    def __init__(self, path: Path, timeout: float) -> None:
+        """``timeout``: of a read [s]. Raises OSError: no emulator listens."""
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            self._socket.connect(str(path))
+        except OSError:
+            self._socket.close()
+            raise
+        self._timeout = timeout
+        self._socket.setblocking(False)
+        self.fileno, self.close = self._socket.fileno, self._socket.close
+
+    def read(self, size: int) -> bytes:
+        with contextlib.suppress(BlockingIOError):
+            if self._timeout:
+                select.select((self._socket,), (), (), self._timeout)
+            if not (data := self._socket.recv(size)):
+                raise serial.SerialException("the emulator has unplugged it")
+            return data
+        return b""
+
+    def write(self, data: Iterable[int]) -> int:
+        return self._socket.send(bytes(data))
+
+    def reset_input_buffer(self) -> None:
+        with contextlib.suppress(OSError):
+            while self._socket.recv(_LARGEST):
+                pass
+
+
+def open_serial(path: Path, baud_rate: int, timeout: float) -> serial.Serial | EmulatedLine:
+    """Open a serial port; ``timeout``: of a read [s]. Raises OSError: it cannot be opened, or is open already."""
+    if path.is_socket():
+        return EmulatedLine(path, timeout)
+    return serial.Serial(str(path), baud_rate, timeout=timeout, write_timeout=0.1, exclusive=True)
 
 
 def open_can(settings: Settings, bus: int, master: bool, data_bit_rate: int = 5_000_000) -> CanBus:

@@ -9,6 +9,7 @@ import termios
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import serial
@@ -24,6 +25,7 @@ from dynamixel_sdk import (
 )
 
 from valor.devices.dynamixel import ControlTable, Item
+from valor.devices.ports import open_serial
 
 ANSWER_TIME = 40.0  # timeout of a single request, without transmission [ms]
 CYCLE_TIME = 7.0  # timeout of all responses of a cycle, without transmission [ms]
@@ -45,7 +47,7 @@ class WaitingPort(PortHandler):  # type: ignore[misc]
     received = 0
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802
-        self.ser = serial.Serial(self.port_name, cflag_baud, timeout=READ_TIME, write_timeout=0.1, exclusive=True)
+        self.ser = open_serial(Path(self.port_name), cflag_baud, READ_TIME)
         self.is_open = True
         self.ser.reset_input_buffer()
         self.tx_time_per_byte = 10e3 / cflag_baud

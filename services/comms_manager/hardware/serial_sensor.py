@@ -13,7 +13,7 @@ import serial
 from valor.comms_manager.hardware.condition import DeviceClock
 from valor.comms_manager.hardware.device import Device, DeviceContext, DeviceError, Fault, UnitFault, UnitRecord
 from valor.devices.frame_stream import FrameStream
-from valor.devices.ports import serial_port
+from valor.devices.ports import EmulatedLine, open_serial, serial_port
 
 ANSWER_TIME = 0.1  # timeout of a command [s]
 TRIES = 10  # of a command, at start
@@ -42,7 +42,7 @@ class SerialSensor(Device):
         self.records = (self._record,)
         self.rate = rate
         self._stream = stream
-        self._port: serial.Serial | None = None
+        self._port: serial.Serial | EmulatedLine | None = None
         self._clock = DeviceClock()
         self._looked = math.inf  # time of the last read [monotonic s]
         self._away = 0.0  # delay of the latest read beyond the thread's sleep [s]
@@ -104,9 +104,7 @@ class SerialSensor(Device):
 
     def _connect(self, tries: int) -> None:
         try:
-            self._port = serial.Serial(
-                str(self._path), self._baud_rate, timeout=0, write_timeout=ANSWER_TIME, exclusive=True
-            )
+            self._port = open_serial(self._path, self._baud_rate, timeout=0.0)
         except OSError as error:
             raise DeviceError(
                 f"{self.name}: {self._path} cannot be opened: {error}; expected {self._wanted()}"
