@@ -48,9 +48,9 @@ class SerialPort:
 
     def read(self) -> bytes:
         """Received bytes of the driver, without waiting."""
-        if self._line is None:
+        if self._line is None or not self._readable.poll(0):
             return b""
-        with contextlib.suppress(OSError):  # nothing to read
+        with contextlib.suppress(OSError):  # the driver is gone, or has sent nothing yet
             if self._driver is None:
                 self._driver, _ = self._line.accept()
                 self._driver.setblocking(False)
