@@ -15,7 +15,7 @@ import bifrost
 from valor.bags import recordings, retention
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
-from valor.common.linking import NAMES, behind, ports_to_robot
+from valor.common.linking import NAMES, behind, ports_to_robot, robots_hosts
 from valor.common.priority import granted, own_core
 from valor.common.processes import PROCESSES, SENSORS
 from valor.common.resources import REPAIR
@@ -258,6 +258,8 @@ def _sensors(instance: Instance) -> Outcome:
     if not instance.settings_file.exists():
         return "ok", f"{instance.name} is not up"
     settings = instance.settings()
+    if robots_hosts(settings):
+        return "ok", "on the robot's side of the link"
     simulated = settings.variant == "simulation"
     tables = RobotDescription.load(settings.robot).tables
     topics = [
