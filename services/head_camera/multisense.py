@@ -99,13 +99,18 @@ class Multisense:
     def look(self, posture: Posture) -> Picture:
         """Return what is seen; color and depth from one rendering."""
         image = self._scene.draw(posture)
-        steps = (_DISPARITY_OF_INVERSE * self._scene.inverse_depth() + np.float32(0.5)).astype(np.int32)
-        steps[steps > MOST] = 0
-        return Picture(image, steps)
+        return Picture(image, matched(self._scene.inverse_depth()))
 
     def close(self) -> None:
         """Free the graphics memory."""
         self._scene.close()
+
+
+def matched(inverse_depth: npt.NDArray[np.float32]) -> npt.NDArray[np.int32]:
+    """Return disparities [steps] of 1 / depth [1/m]; 0 if it is too near."""
+    steps = (_DISPARITY_OF_INVERSE * inverse_depth + np.float32(0.5)).astype(np.int32)
+    steps[steps > MOST] = 0
+    return steps
 
 
 def pose_in_body(camera: Camera) -> Pose:

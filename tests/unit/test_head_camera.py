@@ -122,11 +122,12 @@ def test_its_points_lie_on_the_stairs_with_their_colors() -> None:
 
 
 def test_what_is_not_matched_has_no_depth() -> None:
-    steps = np.array([[0, eye.LEAST - 1, eye.LEAST, eye.MOST]], np.int32)
-    picture = eye.Picture(np.zeros((1, 4, 3), np.uint8), steps)
+    true = np.array([[1000.0, 50.0, 42.0, 2.0, 0.34, 0.33, 0.02]], np.float32)
+    picture = eye.Picture(np.zeros((1, true.size, 3), np.uint8), eye.matched(1.0 / true))
     depth = picture.depth()[0]
-    assert np.isnan(depth[:2]).all() and depth[2:] == pytest.approx((42.71, 0.3337), rel=1e-3)
-    assert picture.millimetres()[0].tolist() == [0, 0, 42712, 334]
+    assert np.isfinite(depth).tolist() == [False, False, True, True, True, False, False]
+    assert depth[2:5] == pytest.approx(true[0, 2:5], rel=0.03) and depth[3] == pytest.approx(2.0, abs=0.003)
+    assert picture.millimetres()[0].tolist() == [round(1000 * float(np.nan_to_num(z))) for z in depth]
     assert picture.depth().dtype.str == "<f4" and picture.millimetres().dtype.str == "<u2"
 
 
