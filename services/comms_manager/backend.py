@@ -1,9 +1,11 @@
 """Interface between the main loop and its devices, simulated or real."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 from valor.common.behaviors import Reaction
 from valor.common.messages import Proprioceptor
+from valor.comms_manager.batteries import BatteryMonitor
 from valor.comms_manager.commands import Commands
 
 
@@ -12,6 +14,7 @@ class Backend(ABC):
 
     waits_for_motor = True  # robot time starts with the first Motor; otherwise it passes independently
     demand = Reaction.KEEP_BALANCE  # reaction that the condition of the devices requires
+    batteries: Sequence[BatteryMonitor] = ()  # one, if the robot has batteries
 
     @property
     def paused(self) -> bool:

@@ -56,7 +56,7 @@ class CommsManager:
             trace.mark(Stage.MEASURE)
             self._attend(state)
             statistics.rejected, statistics.drops = commands.rejected, commands.drops
-            if (note := backend.note) != reported:
+            if (note := next(filter(None, (backend.note, *(each.note for each in backend.batteries))), "")) != reported:
                 reported = note
                 statistics.state("ready", note)
             statistics.cycle(began, waited)
@@ -107,6 +107,8 @@ class CommsManager:
         self._sequence += 1
         state = self._backend.measure(self._sequence)
         state.motor_behavior = self._arbiter.behavior
+        for batteries in self._backend.batteries:
+            batteries.update(state)
         self._time = state.time
         return state
 

@@ -19,7 +19,7 @@ from valor.robot.description import RobotDescription
 WATCHDOG = 0.1  # age of the last command at which a controller holds its joints [s]
 JUMP = 0.5  # of the first axis' encoder, in the fault [rad]
 WARM, HOT = 30.0, 90.0  # normal, and in the fault [°C]
-SUPPLY, WEAK_SUPPLY = 48.0, 40.0  # likewise [V]
+WEAK_SUPPLY = 40.0  # in the fault [V]
 TORQUE_PER_CURRENT = 12.0  # of the motor, at the joint [N·m/A]
 
 _SENSOR_FAULTS = ALL_FAULTS - {EmulatedFault.ENCODER_JUMP, EmulatedFault.UNDER_VOLTAGE}
@@ -172,7 +172,7 @@ class SeriesElasticEmulator(CanEmulator):
             weak = fault(controller.name, EmulatedFault.UNDER_VOLTAGE, now)
             status = controller.status | (_HOT if hot else 0) | (_WEAK if weak else 0)
             temperatures = [round(10.0 * (HOT if hot else WARM))] * AXES
-            voltage = round(100.0 * (WEAK_SUPPLY if weak else SUPPLY))
+            voltage = round(100.0 * (WEAK_SUPPLY if weak else measured.battery_voltage))
             content = (counter, status, controller.sequence, *axes, *temperatures, voltage, clock)
             states.append(can_frames.CONTROLLER_STATE.pack(*content))
         return states

@@ -125,7 +125,7 @@ class ValorRosController:
         )
         rejections = self._bypass.rejections
         self._motion = MotionStatePublisher(node, context.robot.tables.hands, stamp, rate, odom)
-        self._status = RobotStatusPublisher(node, core.interface)
+        self._status = RobotStatusPublisher(node, core.interface, core.hw)
         self._modes = ControlModeAction(node, core.mode_controller, stamp)
         rejections.add_source(COMMAND, core.mode_controller.rejections)
         self._controller_states = self._open_controllers()

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.messages import MotionState, Proprioceptor
+from valor.common.messages import BatteryStatus, MotionState, Proprioceptor
 from valor.robot.commanded_limits import CommandedLimits, Indices
 from valor.robot.description import RobotDescription
 
@@ -43,6 +43,7 @@ class ValorEscherHWInterface:
         self.motion: MotionState | None = None  # latest MotionState
         self.position: FloatArray = np.zeros(n)
         self.velocity: FloatArray = np.zeros(n)
+        self.battery: BatteryStatus | None = None  # latest BatteryStatus
         self.frozen: tuple[str, ...] = ()  # limbs that the Motion System has frozen
         self.commanded: FloatArray = np.zeros(n)  # (n,) current set-points of the Motion System [rad or m]
         self.command = np.zeros((3, n))
@@ -58,6 +59,13 @@ class ValorEscherHWInterface:
         self._base: FloatArray = np.zeros(0)  # last set-points of the written joints
         self._base_time = 0
         self._select()
+
+    @property
+    def low_battery(self) -> str:
+        """Warning of a low charge; empty without one."""
+        table, status = self.robot.tables.batteries, self.battery
+        share = status.charge / table.whole if table and status else 1.0
+        return f"batteries at {share:.0%}" if table and share < table.low else ""
 
     def store_measurement(self, measured: Proprioceptor) -> None:
         self.time, self.measured = measured.time, measured

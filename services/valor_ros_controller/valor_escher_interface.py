@@ -80,6 +80,7 @@ class ValorEscherInterface:
         }
         self._robot_clock = topics.CLOCK.subscriber(node)
         self._frozen = topics.FROZEN.subscriber(node)
+        self._batteries = topics.BATTERIES.subscriber(node)
         self._setpoints = topics.JOINT_SETPOINTS.publisher(node)
         self._pelvis = topics.PELVIS.publisher(node)
         self._cycle = topics.CYCLE.publisher(node)
@@ -179,6 +180,8 @@ class ValorEscherInterface:
                 )
         if (frozen := self._frozen.latest()) is not None:
             self._hw.frozen = tuple(frozen.message.limbs)
+        if (battery := self._batteries.latest()) is not None:
+            self._hw.battery = battery.message
         self.silent = self._silent_process(now)
         if now - self._motion_at > self._timeout:
             self.behavior = ""

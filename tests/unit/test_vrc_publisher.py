@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message
 
 from harness.motion_states import motion_state
 from harness.places import ROBOTS
-from valor.common.messages import MotionState, Proprioceptor
+from valor.common.messages import BatteryStatus, MotionState, Proprioceptor
 from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
 from valor.valor_ros_controller.ros.publisher import PUBLICATIONS, Publisher, publish_static
@@ -92,6 +92,16 @@ def check(topics: Topics, sense: Proprioceptor, motion: MotionState) -> None:
         same((vector(kvh.angular_velocity), sense.kvh_angular_velocity))
         same((vector(kvh.linear_acceleration), sense.kvh_linear_acceleration))
         assert kvh.header.frame_id == "kvh_link" and kvh.orientation_covariance[0] == -1.0, "REP-145"
+    if (battery := topics.new("battery_state")) is not None:
+        np.testing.assert_allclose((battery.voltage, battery.current, battery.charge), (44.4, -10.0, 9.0), rtol=1e-6)
+        assert (battery.capacity, battery.design_capacity, battery.percentage) == (20.0, 20.0, np.float32(0.45))
+        assert list(battery.cell_voltage) == [np.float32(3.7)] * 24 and (battery.present, battery.location) == (
+            True,
+            "chest",
+        )
+        assert battery.power_supply_technology == battery.POWER_SUPPLY_TECHNOLOGY_LIPO
+        assert battery.power_supply_status == battery.POWER_SUPPLY_STATUS_DISCHARGING
+        assert battery.power_supply_health == battery.POWER_SUPPLY_HEALTH_GOOD
     for limb, wrench in (
         ("l_foot", sense.left_foot_wrench),
         ("r_foot", sense.right_foot_wrench),
@@ -126,6 +136,7 @@ def test_every_number_stands_where_it_belongs_and_comes_at_its_rate() -> None:
         stamp.sec, stamp.nanosec = cycle, 7 * cycle
         joints, inertia, wrenches = (some((count, size)) for count, size in ((3, N), (4, 3), (4, 6)))
         hw.measured = sense = Proprioceptor(1, 1, 1, *joints, some(4), *inertia, *wrenches, 47.5, "stand")  # type: ignore[call-arg]
+        hw.battery = BatteryStatus(cycle, 44.4, 10.0, 9.0)
         hw.motion = motion = motion_state(
             heading=YAW,
             pelvis_position_in_odom=some(3),

@@ -9,6 +9,7 @@ from valor.common.arrays import FloatArray
 from valor.common.table import NonNegative, Positive, Table, TableError, require_order
 from valor.devices.kinds import DeviceTable
 from valor.devices.table import Calibration, SupplyLimits
+from valor.robot.batteries import Batteries
 from valor.robot.motion_tables import Footsteps, PelvisMotion, SelfCollision, Walking
 from valor.robot.size import Force, Size
 
@@ -242,6 +243,7 @@ class RobotTables(Table, kw_only=True):
     devices: dict[str, DeviceTable] = {}  # on hardware, by name, in the order of start-up
     calibration: Calibration = Calibration()
     supply: SupplyLimits = SupplyLimits()
+    batteries: Batteries | None = None
 
     def group(self, name: str) -> list[str]:
         """Return a group's joints in order; empty if the robot lacks the limb."""

@@ -9,11 +9,12 @@ from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.messages import Proprioceptor
 from valor.devices.kvh import BIASES, DENSITIES
+from valor.robot.batteries import Batteries
 from valor.robot.description import RobotDescription
 from valor.robot.tables import SensorNoise
 from valor.simulation.plant import Plant
 
-BATTERY_VOLTAGE = 48.0  # the simulated battery does not drain [V]
+SUPPLY = 48.0  # of a robot without batteries [V]
 
 
 class Sensors:
@@ -45,6 +46,7 @@ class Sensors:
                 *(None if hand is None else (hand.body, hand.site) for hand in (tables.hands.left, tables.hands.right)),
             ],
         )
+        self._supply = Supply(robot, tables.batteries) if tables.batteries else None
         self._kvh = Kvh(robot, plant, noise != SensorNoise(), seed) if tables.kvh else None
         self._rng = np.random.default_rng([seed, 1])
         self._resolution = noise.joint_position_resolution
@@ -94,7 +96,9 @@ class Sensors:
             right_foot_wrench=values[k + 12 : k + 18],
             left_hand_wrench=values[k + 18 : k + 24],
             right_hand_wrench=values[k + 24 : k + 30],
-            battery_voltage=BATTERY_VOLTAGE,
+            battery_voltage=self._supply.drain(time, truth[n : 2 * n], plant.actuators.effort)
+            if self._supply
+            else SUPPLY,
             motor_behavior="",
         )
 
@@ -104,6 +108,21 @@ class Sensors:
         mujoco.mju_mulQuat(orientation, self._base_orientation, self._imu_in_base)
         mujoco.mju_quatIntegrate(orientation, error, 1.0)
         return orientation
+
+
+class Supply:
+    """Simulated batteries."""
+
+    def __init__(self, robot: RobotDescription, table: Batteries) -> None:
+        self._table, self._limit, self._share, self._time = table, robot.effort_limit, table.charge, 0
+
+    def drain(self, time: int, velocity: FloatArray, effort: FloatArray) -> float:
+        """Draw what the joints have needed until robot ``time`` [ns]; returns the voltage [V]."""
+        table, power = self._table, self._table.power(effort, velocity, self._limit)
+        voltage = table.voltage(self._share, power)
+        hours, self._time = 1e-9 * (time - self._time) / 3600.0, time
+        self._share = max(0.0, self._share - power / voltage * hours / table.whole)
+        return voltage
 
 
 class Kvh:

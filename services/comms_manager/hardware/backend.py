@@ -25,6 +25,7 @@ from valor.common.processes import BY_NAME
 from valor.common.topics import DEVICES
 from valor.common.trace import Stage
 from valor.comms_manager.backend import Backend
+from valor.comms_manager.batteries import BatteryMonitor
 from valor.comms_manager.commands import Commands
 from valor.comms_manager.hardware.device import (
     Device,
@@ -129,7 +130,8 @@ class Hardware(Backend):
             raise
         self._moving = providers(self._devices, Quantity.JOINT_STATE)
         self._senses = Proprioception(robot, self._devices)
-        self._watch = DeviceWatch(self._devices)
+        self.batteries = BatteryMonitor.of(context)
+        self._watch = DeviceWatch([*self._devices, *self.batteries])
         self._status = DEVICES.publisher(context.node)
         self._pacer = Pacer(1.0, WallClock())
         self._admitted = 0

@@ -48,6 +48,7 @@ class Part(StrEnum):
     IMU = "imu"
     FOOT = "foot"  # forces at a foot
     HAND = "hand"  # forces at a hand
+    BATTERY = "battery"
 
 
 class DeviceError(ValorError):

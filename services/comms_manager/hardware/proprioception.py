@@ -92,7 +92,10 @@ class Proprioception:
         self._attitude = AttitudeSource(providers(devices, Quantity.ATTITUDE))
         self.position, self.velocity, self.effort = np.zeros(n), np.zeros(n), np.zeros(n)  # [rad, rad/s, N·m]
         self._wrenches = {place: np.zeros(6) for place in get_args(WrenchPlace)}
+        carrying = [each for each in self._moving if robot.tables.device_carries(each.name)]
+        self._supplied = carrying or self._moving  # others may have a supply of their own
         self._voltage = NOMINAL_VOLTAGE
+        self.update_voltage()
 
     def measure(self, time: int, sequence: int, motor_sequence: int, primary: Device | None) -> Proprioceptor:
         """Compose a Proprioceptor at robot ``time`` [ns]; ``primary``: IMU of the robot's attitude."""
@@ -131,7 +134,7 @@ class Proprioception:
         return imu.inertia
 
     def update_voltage(self) -> None:
-        """Update the battery voltage: the lowest one reported by a unit that moves joints."""
-        voltages = [record.voltage for device in self._moving for record in device.records]
+        """Update the battery voltage: the lowest one reported by a unit that carries the robot."""
+        voltages = [record.voltage for device in self._supplied for record in device.records]
         if known := [voltage for voltage in voltages if not math.isnan(voltage)]:
             self._voltage = min(known)

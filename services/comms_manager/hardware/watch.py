@@ -41,25 +41,24 @@ _BALANCE, _STOP, _HOLD = Reaction.KEEP_BALANCE, Reaction.SOFT_STOP, Reaction.HOL
 
 # fmt: off
 _TABLE: Mapping[Fault, tuple[Reaction, ...]] = {
-    #                   legs    upper body  IMU     foot      hand
-    Fault.SILENT:      (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
-    Fault.UNPLUGGED:   (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
-    Fault.UNREAD:      (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
-    Fault.OVERDUE:     (_BALANCE, _BALANCE, _BALANCE, _BALANCE, _BALANCE),
-    Fault.SLOW:        (_STOP,  _BALANCE,   _STOP,  _STOP,    _BALANCE),
-    Fault.FAULTY:      (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
-    Fault.DISABLED:    (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE),
-    Fault.ENCODER:     (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE),
-    Fault.WARM:        (_STOP,  _BALANCE,   _STOP,  _BALANCE, _BALANCE),
-    Fault.HOT:         (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE),
-    Fault.LOW_VOLTAGE: (_STOP,  _BALANCE,   _STOP,  _BALANCE, _BALANCE),
-    Fault.FLAT:        (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE),
+    #                   legs    upper body  IMU     foot      hand        battery
+    Fault.SILENT:      (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE,   _BALANCE),
+    Fault.UNPLUGGED:   (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE,   _BALANCE),
+    Fault.UNREAD:      (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE,   _BALANCE),
+    Fault.OVERDUE:     (_BALANCE, _BALANCE, _BALANCE, _BALANCE, _BALANCE,   _BALANCE),
+    Fault.SLOW:        (_STOP,  _BALANCE,   _STOP,  _STOP,    _BALANCE,   _BALANCE),
+    Fault.FAULTY:      (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE,   _BALANCE),
+    Fault.DISABLED:    (_HOLD,  _BALANCE,   _HOLD,  _STOP,    _BALANCE,   _BALANCE),
+    Fault.ENCODER:     (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE,   _BALANCE),
+    Fault.WARM:        (_STOP,  _BALANCE,   _STOP,  _BALANCE, _BALANCE,   _BALANCE),
+    Fault.HOT:         (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE,   _STOP),
+    Fault.LOW_VOLTAGE: (_STOP,  _BALANCE,   _STOP,  _BALANCE, _BALANCE,   _BALANCE),
+    Fault.FLAT:        (_HOLD,  _STOP,      _HOLD,  _STOP,    _BALANCE,   _STOP),
 }
 # fmt: on
 
 REACTIONS: Mapping[Fault, Mapping[Part, Reaction]] = {
-    fault: dict(zip((Part.LEGS, Part.UPPER_BODY, Part.IMU, Part.FOOT, Part.HAND), row, strict=True))
-    for fault, row in _TABLE.items()
+    fault: dict(zip(Part, row, strict=True)) for fault, row in _TABLE.items()
 }
 """In addition: with two leg units without motors the robot goes limp; faults of a stand-by IMU have no effect."""
 

@@ -7,9 +7,11 @@ from valor.common.errors import ConfigurationError
 from valor.common.messages import Proprioceptor, TimeReply, TimeRequest
 from valor.common.pacing import Pacer, WallClock
 from valor.common.processes import LIDAR
-from valor.common.topics import CYCLE, GROUND_TRUTH, PAUSED, SIMULATED_TIME
+from valor.common.topics import CYCLE, DEVICES, GROUND_TRUTH, PAUSED, SIMULATED_TIME
 from valor.comms_manager.backend import Backend
+from valor.comms_manager.batteries import BatteryMonitor
 from valor.comms_manager.commands import Commands
+from valor.comms_manager.hardware.watch import DeviceWatch
 from valor.comms_manager.simulation.clock import BACKLOG, CLOCKS, HASTE, VrcLockstep
 from valor.service import Context
 from valor.simulation.plant import Plant, PushServer, Truth
@@ -98,6 +100,9 @@ class Simulation(Backend):
         self._truth_every = max(1, round(robot.tables.control_rate / Truth.RATE))
         self._push_server = PushServer(context.node, plant)
         self._time_server = TimeServer(context.node, self._pacer, rate)
+        self.batteries = BatteryMonitor.of(context)
+        self._watch = DeviceWatch(self.batteries)
+        self._status = DEVICES.publisher(context.node) if self.batteries else None
         self._period = round(robot.control_period * 1e9)
         self._periods = 0
 
@@ -136,6 +141,9 @@ class Simulation(Backend):
             self._serve()
         elif self._periods % self._truth_every == 0:
             self._truth.publish(self._time)
+            if self._status and self._watch.update(self._time):
+                self.demand = self._watch.reaction
+                self._status.publish(self._watch.report(self._time))
             self._serve()
 
     def _serve(self) -> None:

@@ -20,6 +20,7 @@ from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
 from valor.common.rotation import conjugate, rotate
 from valor.devices.kvh import DENSITIES
+from valor.robot.batteries import Batteries
 from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
 from valor.robot.tables import SensorNoise
@@ -128,6 +129,18 @@ def _odometry(frame: str, base_frame: str, noise: SensorNoise) -> Odometry:
     return message
 
 
+def _battery(table: Batteries | None) -> BatteryState:
+    """All packs together. Known from the start: what robot.yaml states."""
+    unknown = dict.fromkeys(("current", "charge", "capacity", "design_capacity", "percentage", "temperature"), nan)
+    message = BatteryState(present=True, **unknown)
+    if table:
+        message.capacity = message.design_capacity = table.whole
+        message.power_supply_status = BatteryState.POWER_SUPPLY_STATUS_DISCHARGING
+        message.power_supply_technology = BatteryState.POWER_SUPPLY_TECHNOLOGY_LIPO
+        message.location = table.location
+    return message
+
+
 def publish_static(node: Node, parameters: Parameters, fixed: Sequence[TransformStamped], odom: str) -> None:
     """Publish ``/tf_static``: ``fixed`` and, by parameter ``publish_map``, the identity ``map`` → ``odom`` (REP 105).
 
@@ -196,8 +209,7 @@ class Publisher:
         self._odom = prepared(odom_topic, _odometry(prefix + ODOM, prefix + tree.base_frame, noise), 22)
         self.transforms = TransformPublisher(node, tree, robot, stamp, prefix=prefix)  # publisher of the robot's tf
         self._battery = node.create_publisher(BatteryState, *PUBLICATIONS["battery"].topics, 1)
-        unknown = dict.fromkeys(("current", "charge", "capacity", "design_capacity", "percentage", "temperature"), nan)
-        self._battery_message = BatteryState(present=True, **unknown)
+        self._battery_message, self._batteries = _battery(tables.batteries), tables.batteries
         self._battery_message.header.stamp = stamp
         self._schedule(rate)
 
@@ -279,8 +291,17 @@ class Publisher:
             self.transforms.publish(hw.position, *pose)
 
     def _publish_battery(self, hw: ValorEscherHWInterface) -> None:
-        self._battery_message.voltage = _measured(hw).battery_voltage
-        self._battery.publish(self._battery_message)
+        message, table, status = self._battery_message, self._batteries, hw.battery
+        message.voltage = _measured(hw).battery_voltage
+        if table and status:
+            message.voltage, message.current, message.charge = status.voltage, -status.current, status.charge
+            message.percentage = share = status.charge / table.whole
+            message.cell_voltage = [status.voltage / table.series] * (table.strings * table.series)
+            dead = share < table.critical
+            message.power_supply_health = (
+                BatteryState.POWER_SUPPLY_HEALTH_DEAD if dead else BatteryState.POWER_SUPPLY_HEALTH_GOOD
+            )
+        self._battery.publish(message)
 
 
 def _measured(hw: ValorEscherHWInterface) -> Proprioceptor:

@@ -25,6 +25,7 @@ from valor.ros.transforms import ODOM
 from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.ros.controller_bypass import RejectionPublisher
 from valor.valor_ros_controller.ros.node import LATCHED
+from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 from valor.valor_ros_controller.valor_escher_interface import ValorEscherInterface
 
 POINT_RATE = 25.0  # [Hz]
@@ -83,19 +84,19 @@ class MotionStatePublisher:
 class RobotStatusPublisher:
     """``/flor/controller/robot_status``, on change.
 
-    OK: balances; WARN: held by its joints, or accepts no commands; ERROR: fallen, or a process silent.
+    OK: balances; WARN: held by its joints, accepts no commands, or low batteries; ERROR: fallen, or a process silent.
     """
 
-    def __init__(self, node: Node, interface: ValorEscherInterface) -> None:
+    def __init__(self, node: Node, interface: ValorEscherInterface, hw: ValorEscherHWInterface) -> None:
         self._publisher = node.create_publisher(DiagnosticStatus, ROBOT_STATUS, LATCHED)
-        self._interface = interface
+        self._interface, self._hw = interface, hw
         self._robot = node.get_namespace().strip("/") or "valor"
         self._published: tuple[str, ...] = ()
 
     def publish(self, control_mode: str) -> None:
         interface = self._interface
-        silent, behavior, reason, _ = now = (
-            interface.silent, interface.behavior, interface.behavior_reason, control_mode,
+        silent, behavior, reason, low, _ = now = (
+            interface.silent, interface.behavior, interface.behavior_reason, self._hw.low_battery, control_mode,
         )  # fmt: skip
         if now == self._published:
             return
@@ -110,6 +111,8 @@ class RobotStatusPublisher:
             level, text = DiagnosticStatus.WARN, f"{behavior}: balances, accepts no commands"
         else:
             level, text = DiagnosticStatus.OK, behavior
+        if low and level != DiagnosticStatus.ERROR:
+            level, text = DiagnosticStatus.WARN, f"{text}; {low}"
         values = {"behavior": behavior, "reason": reason, "control_mode": control_mode, "silent": silent}
         self._publisher.publish(
             DiagnosticStatus(
@@ -188,7 +191,7 @@ class Diagnostics:
         self._cycles = self._late = 0
         self._processes = [ProcessDiagnostics(name, bifrost_node) for name in STATISTICS if name in processes]
         self._devices = DEVICES.subscriber(bifrost_node)
-        self._latest_devices: DeviceStatus | None = None  # none in simulation
+        self._latest_devices: DeviceStatus | None = None  # none in simulation without batteries
         self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", 1)
         node.create_timer(PERIOD, self._publish, clock=STEADY)  # robot time may stand still
 

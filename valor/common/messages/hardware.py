@@ -67,7 +67,7 @@ class ClockStatus(Message):
 
 
 class DeviceStatus(Message):
-    """State of the devices' units on hardware, in robot.yaml's order; published every second and on change."""
+    """State of the devices' units, in robot.yaml's order, and batteries; published every second and on change."""
 
     time: int
     units: list[str]  # device/unit: legs/1, neck/neck_yaw, imu
@@ -81,6 +81,15 @@ class DeviceStatus(Message):
     errors: Float64Array  # frames rejected since start: checksum, length, order, content
     reaction: str  # required of the Motion System: keep_balance, soft_stop, hold, limp
     reason: str  # most severe fault, with its unit; empty: none
+
+
+class BatteryStatus(Message):
+    """Estimated state of all battery packs together; published every second, of robots that have some."""
+
+    time: int
+    voltage: float  # of the supply, under load [V]
+    current: float  # that the robot draws [A]
+    charge: float  # left [Ah]
 
 
 class HdtCommand(Message):
