@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from thesis.analysis.figures import keys, make_room
-from thesis.analysis.pathways import Latencies, Pathway, Segment
+from thesis.analysis.pathways import JOINT_COMMAND, Latencies, Pathway, Segment
 from valor.analysis import style
 from valor.analysis.bands import bands, color
 
@@ -111,7 +111,8 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
             axes.errorbar(low, at, xerr=[[0.0], [high - low]], fmt="none", ecolor=style.INK, elinewidth=1.0, capsize=3)
             end = float(np.nanmax((end, total, high)))
             highest = max(highest, end)
-            text = f"{total:.1f} ms (thesis: {thesis[pathway.name]})"
+            by = f"by correlation {1e3 * pathway.behind:.1f}, " if pathway.name == JOINT_COMMAND else ""
+            text = f"{total:.1f} ms ({by}thesis: {thesis[pathway.name]})"
             axes.annotate(
                 text, (end, at), (6, 0), textcoords="offset points", va="center", fontsize=8.5, color=style.GREY
             )
@@ -119,7 +120,7 @@ def sums(found: Mapping[str, Latencies], thesis: Mapping[str, str], file: Path) 
     axes.set_yticks([at for at, _ in labels], [label for _, label in labels])
     axes.tick_params(axis="y", labelcolor=style.INK)
     axes.grid(False, axis="y")
-    axes.set_xlim(0.0, 1.3 * highest)
+    axes.set_xlim(0.0, 1.45 * highest)
     handles = [style.sample(name, shade, 6.0) for name, shade in used.items()]
     style.legend(figure, handles, loc="lower left", bbox_to_anchor=(0.01, 0.0), ncols=4)
     style.legend(figure, keys(under), loc="lower right", bbox_to_anchor=(0.99, 0.0), ncols=1)

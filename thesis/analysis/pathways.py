@@ -36,6 +36,7 @@ from valor.analysis.reading.recording import nearest
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
 
+JOINT_COMMAND = "joint command"
 DRAWS = 20_000  # of a sum, for its percentiles
 
 
@@ -147,7 +148,7 @@ class Latencies:
         return (
             Pathway("mode change", (commanded, reported)),
             Pathway("proprioception", (states,)),
-            Pathway("joint command", (reference, motor, command, plant)),
+            Pathway(JOINT_COMMAND, (reference, motor, command, plant)),
         )
 
     @classmethod

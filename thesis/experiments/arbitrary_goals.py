@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SIDE: Side = "right"
 HAND = 1  # as messages count them
 COUNT, QUICK = 16, 10
+GOAL = f"/flor/{HANDS[HAND]}/goal_pose"  # for VRC and recorder
 WHERE = ("ahead", "behind")
 MOVING, REACHED, OUT_OF_REACH = "moving", "reached", "out_of_reach"
 PATIENCE = 20.0  # timeout of the acceptance of a goal [s]
@@ -90,7 +91,7 @@ class HandGoalClient:
         self._hand = Hand(robot, SIDE)
         self._statuses = HAND_GOAL_STATUS.subscriber(node, queue=200)
         # Subscribers: VRC and recorder.
-        self._goals = ros.publisher(PoseStamped, f"flor/{HANDS[HAND]}/goal_pose", 2)
+        self._goals = ros.publisher(PoseStamped, GOAL.lstrip("/"), 2)
         self._status: HandGoalStatus | None = None
 
     def send(self, goal: HandTarget) -> HandGoalStatus:

@@ -53,7 +53,7 @@ PD = {"arm_control": "pd"}  # the thesis' control of the arms (5.3.1)
 ARM, NECK = "right_arm", "neck"
 POSES = ("forward", "home", "side", "home", "up", "home", "fold", "home")
 TURNED = 0.4  # last joint of the wrist in poses other than home, which no preset rotates [rad]
-TOPICS = (JOINT_STATES, *(recorded(topic) for topic in (
+TOPICS = (JOINT_STATES, arbitrary_goals.GOAL, *(recorded(topic) for topic in (
     PROPRIOCEPTOR, MOTOR, MOTION_STATE, JOINT_SETPOINTS, GROUND_TRUTH, HAND_GOAL, HAND_GOAL_STATUS,
 )))  # fmt: skip
 LOOKS = (0.6, -0.6, 0.0)  # of the neck's yaw [rad]

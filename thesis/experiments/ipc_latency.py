@@ -168,7 +168,7 @@ def _plot(latencies: Mapping[tuple[str, str], FloatArray], file: Path) -> Path:
             at = np.arange(len(x)) / RATE
             axes.plot(at, x, ".", color=color, markersize=3.0, alpha=0.6, label=label)
             axes.plot(at, np.polyval(np.polyfit(at, x, 1), at), color=color, linewidth=1.6)
-        axes.set_xlim(0.0, max(len(x) for x in latencies.values()) / RATE)
+        axes.set_xlim(0.0, len(x) / RATE)
         axes.set_ylim(0.0, top)
         make_room(axes)
         bands(axes, np.array(axes.get_xlim()), np.array([NO_ROBOT, NO_ROBOT]))

@@ -13,7 +13,7 @@ import bifrost
 from thesis.analysis import pathway_plots, rates
 from thesis.analysis.conversions import Conversion, conversions
 from thesis.analysis.pathway_taps import ARM, CONTROLLER, MODE_COMMAND, MODE_REPORT, REFERENCE, TOPICS
-from thesis.analysis.pathways import Latencies, Segment
+from thesis.analysis.pathways import JOINT_COMMAND, Latencies, Segment
 from thesis.experiments import ipc_latency
 from thesis.experiments.experiment import Run
 from thesis.report.results import Measure, Table
@@ -43,7 +43,6 @@ DOUBLES, QUICK_DOUBLES = 400, 25
 REST = 0.7  # between two motions or mode changes [robot time, s]
 PATIENCE = 20.0  # [s]
 VRC, VRC_RATE = "valor_ros_controller", "VRC's updates asked for at"
-JOINT_COMMAND = "joint command"
 _THESIS = {"mode change": "49", "proprioception": "40", JOINT_COMMAND: "335"}
 _WHY = {
     "mode change": "the same messages; each wakes who waits for it, where threads slept between two looks there",
@@ -144,8 +143,10 @@ def _measures(profile: str, latencies: Latencies, runs: Sequence[Latencies]) -> 
     made = []
     for i, pathway in enumerate(latencies.pathways):
         note = f"by stamps; {1e3 * pathway.median:.1f} by medians; {_WHY[pathway.name]}"
-        thesis = "" if pathway.name == JOINT_COMMAND else _THESIS[pathway.name]
-        made.append(Measure(f"{pathway.name}, {profile}", _ms(pathway.mean), "ms", thesis,
+        name, thesis = pathway.name, _THESIS[pathway.name]
+        if name == JOINT_COMMAND:
+            thesis = ""
+        made.append(Measure(f"{name}, {profile}", _ms(pathway.mean), "ms", thesis,
                             f"{note}; {_each([one.pathways[i].mean for one in runs])}"))  # fmt: skip
     i, pathway = next((i, each) for i, each in enumerate(latencies.pathways) if each.name == JOINT_COMMAND)
     made += [
