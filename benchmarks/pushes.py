@@ -121,6 +121,27 @@ def bounds(robot: RobotDescription) -> dict[str, float]:
     return {name: mass * omega * float(abs(np.dot(direction, half))) for name, direction in DIRECTIONS.items()}
 
 
+def most_fixed(loop: ClosedLoop, direction: tuple[int, int], bound: float) -> float:
+    """The largest push that a robot without steps survives, by bisection below a bound and a tenth more [N·s]."""
+    low, high = 0.5 * bound, 1.1 * bound
+    while high - low > RESOLUTION:
+        middle = 0.5 * (low + high)
+        better = forked(push, loop, direction, middle, 4.0).survived
+        low, high = (middle, high) if better else (low, middle)
+    return low
+
+
+def most_stepping(loop: ClosedLoop, direction: tuple[int, int]) -> tuple[float, Outcome | None, Outcome | None]:
+    """The largest push of ``LADDER`` survived below the first fall [N·s], what became of it, and of the last one."""
+    best, most, last = None, 0.0, None
+    for impulse in LADDER:
+        last = forked(push, loop, direction, impulse, 6.0)
+        if not last.survived:
+            break
+        best, most = last, impulse
+    return most, best, last
+
+
 def fixed(name: str, profile: str, seeds: int) -> Iterator[str]:
     """The largest push survived without a step, by bisection, and when one of 80 N·s is told to be a fall."""
     robot = load_robot(name, disturbance={"step_when_standing": False})
@@ -132,12 +153,7 @@ def fixed(name: str, profile: str, seeds: int) -> Iterator[str]:
     for towards, direction in DIRECTIONS.items():
         survived, told = [], []
         for loop in loops:
-            low, high = 0.5 * limits[towards], 1.1 * limits[towards]
-            while high - low > RESOLUTION:
-                middle = 0.5 * (low + high)
-                better = forked(push, loop, direction, middle, 4.0).survived
-                low, high = (middle, high) if better else (low, middle)
-            survived.append(low)
+            survived.append(most_fixed(loop, direction, limits[towards]))
             told.append(forked(push, loop, direction, 80.0, 4.0).time)
         impulses, times = ", ".join(f"{s:.1f}" for s in survived), ", ".join(f"{1e3 * t:.0f}" for t in told)
         bound = limits[towards]
@@ -152,12 +168,7 @@ def stepping(name: str, profile: str, seeds: int) -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|---|---|"
     for towards, direction in DIRECTIONS.items():
         for seed, loop in enumerate(loops):
-            best, most, last = None, 0.0, None
-            for impulse in LADDER:
-                last = forked(push, loop, direction, impulse, 6.0)
-                if not last.survived:
-                    break
-                best, most = last, impulse
+            most, best, last = most_stepping(loop, direction)
             yield f"| {towards} | {seed} | {most:.0f} | {figures(best)} | {last.fall if last and last.fall else '–'} |"
 
 

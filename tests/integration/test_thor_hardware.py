@@ -18,7 +18,7 @@ NEAR = 0.05  # what trajectory controllers allow a goal [rad]
 
 @pytest.fixture(scope="module")
 def thor() -> Iterator[RobotOnDevices]:
-    with on_devices(robot=ROBOT.folder, actuators="hardware") as running:
+    with on_devices(robot=ROBOT.folder, actuators="series_elastic") as running:
         yield RobotOnDevices(running)
 
 

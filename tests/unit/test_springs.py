@@ -83,7 +83,9 @@ def test_the_observer_takes_the_ball_screws_friction_away() -> None:
 def test_the_plants_springs_take_the_rotors_and_what_is_measured_is_theirs(robot: RobotDescription) -> None:
     plant = Plant(robot, "flat", "series_elastic", 0)
     elastic = plant.actuators.elastic
-    assert elastic is not None and not plant.model.mj.dof_armature[plant.model.dof][elastic.joints].any()
+    assert elastic is not None
+    for beyond in (plant.model.mj.dof_armature, plant.model.mj.dof_frictionloss):
+        assert not beyond[plant.model.dof][elastic.joints].any()
     plant.actuators.obey(motor(robot, JointMode.POSITION))
     plant.step(500)
     np.testing.assert_array_equal(plant.actuators.effort[elastic.joints], elastic.torque)
