@@ -27,7 +27,8 @@ class BatteryMonitor(Device):
     """Batteries, as a device without a port: the main loop calls ``update``."""
 
     def __init__(self, robot: RobotDescription, table: Batteries, node: bifrost.Node) -> None:  # none of robot.devices
-        self.name, self.provides, self.looks, self.rate = NAME, Quantity(0), 0, robot.tables.control_rate
+        self.name, self.provides, self.looks = NAME, Quantity(0), 0
+        self.rate = 0.0  # never slow: its states are the control periods
         self.records, self.unit_faults = (UnitRecord(NAME),), ()
         self._table, self._limit = table, robot.effort_limit
         self._publisher = BATTERIES.publisher(node)

@@ -62,7 +62,15 @@ def standing(bench: Bench) -> Iterator[Bench]:
 def test_it_stands_on_its_devices(standing: Bench) -> None:
     wait_until(lambda: not standing.status.reason, PATIENCE, "nothing is told")  # a busy computer is late now and then
     status = standing.status
-    assert {unit.split("/")[0] for unit in status.units} == {"force_torque", "imu", "neck", "hdt", "legs"}
+    assert {unit.split("/")[0] for unit in status.units} == {
+        "force_torque",
+        "imu",
+        "kvh",
+        "neck",
+        "hdt",
+        "legs",
+        "batteries",
+    }
     assert len([unit for unit in status.units if unit.startswith("legs/")]) == 7
     assert (status.reaction, status.reason) == ("keep_balance", "")
     measured = standing.measured()

@@ -28,7 +28,7 @@ def test_every_device_is_found_and_the_robot_stands_reaches_and_grasps(thor: Rob
     for name, device in ROBOT.tables.devices.items():
         if isinstance(device, Dynamixel):
             assert [unit for unit in units if unit.startswith(name)] == [f"{name}/{s.joint}" for s in device.servos]
-    assert {unit.split("/")[0] for unit in units} == {*ROBOT.tables.devices}
+    assert {unit.split("/")[0] for unit in units} == {*ROBOT.tables.devices, "batteries"}
     thor.go("stand_manipulate")
     tables = ROBOT.tables
     thor.lead({**tables.arm_presets["forward"]["right"], **tables.hand_presets["close"]["left"]})
