@@ -125,12 +125,17 @@ def test_a_controller_that_lost_its_power_is_found_and_switched_on_again(standin
     assert "legs/7: its motors are off" in standing.running.log("comms_manager")
 
 
-def test_the_imu_is_unplugged_and_plugged_in_again(standing: Bench) -> None:
+def test_both_imus_are_unplugged_one_after_the_other_and_plugged_in_again(standing: Bench) -> None:
     standing.fail("imu", "unplugged")
+    wait_until(lambda: standing.unit("imu")[0] != "ok", PATIENCE, "the imu is missed")
+    assert standing.behavior == "stand", standing.state.reason  # on its stand-by
+    standing.fail("kvh", "unplugged")
     wait_until(lambda: standing.behavior == "freeze", PATIENCE, "freeze")
-    assert standing.state.reason.startswith("imu")
-    standing.fail("imu", "")
-    wait_until(lambda: standing.unit("imu")[0] == "ok", PATIENCE, "it is found again")
+    assert standing.state.reason.startswith(("imu", "kvh")), standing.state.reason
+    for imu in ("imu", "kvh"):
+        standing.fail(imu, "")
+    for imu in ("imu", "kvh"):
+        wait_until(lambda imu=imu: standing.unit(imu)[0] == "ok", PATIENCE, "it is found again")
 
 
 def test_the_comms_manager_may_die_under_a_standing_robot_and_come_back(standing: Bench) -> None:

@@ -219,10 +219,11 @@ a pose too fast | hips up\n    duration: 2 | hips up\n    duration: 0.1 | face_d
 HARDWARE = rows(r"""
 a leg joint on no device | axes: [l_ankle_pitch…, l_ankle_roll] | ] | devices | none moves l_ankle_roll
 """) | {
-    "no IMU": Mutant(("    kind: microstrain_mip\n    model: 3DM-GX4-25\n    serial: \"6234.40117\"\n"
+    "no IMU": Mutant((("    kind: microstrain_mip\n    model: 3DM-GX4-25\n    serial: \"6234.40117\"\n"
                       "    firmware: \"1.1.26\"\n    rate: 250\n",
                       "    kind: ft_can\n    bus: 2\n"
                       "    sensors: [{ id: 9, at: left_hand, serial: FT-25-0204, firmware: \"2.3\" }]\n"),
+                      ("  kvh: { kind: kvh_1750, serial: \"1750-0042\", rate: 250 }", "")),
                      "devices", "0 IMUs; expected one"),
     "a foot without a sensor": Mutant(
         ("      - { id: 2, at: right_foot, serial: FT-45-0118, firmware: \"2.3\" }\n", ""), "devices",

@@ -90,8 +90,9 @@ def test_an_attitude_is_a_unit_quaternion(norm: float, sound: bool) -> None:
 
 
 VECTORS = [
-    name for name in Proprioceptor.__struct_fields__ if isinstance(getattr(FOUND.proprioceptor(), name), np.ndarray)
-]
+    name for name in Proprioceptor.__struct_fields__
+    if isinstance(getattr(FOUND.proprioceptor(), name), np.ndarray) and not name.startswith("kvh_")
+]  # fmt: skip  # the Motion Manager reads nothing of the second IMU
 
 
 @pytest.mark.parametrize("name", VECTORS)

@@ -89,7 +89,7 @@ def test_a_stock_tool_finds_the_stairs_in_a_bag_of_the_sensors(instance: Running
         return min(seen[0], seen[1]) >= 2
 
     wait_until(two_each, 60.0, "two clouds of each")
-    assert CHECKS["sensors"](instance.instance)[0] == "ok"
+    wait_until(lambda: CHECKS["sensors"](instance.instance)[0] == "ok", 60.0, "doctor sees them all")
     instance.stop("head_camera")
     level, text, *advice = CHECKS["sensors"](instance.instance)
     assert level == "warn" and "multisense/left/depth: no publisher" in text and advice

@@ -128,7 +128,7 @@ def test_a_failed_up_states_why_and_leaves_nothing(ctl: Cli) -> None:
     broken = ctl.home / "robot" / "robot.yaml"
     broken.write_text(broken.read_text().replace("l_foot, sole: l_sole", "l_foot, sole: l_gripper"))
     output = ctl("up", "--profile", ctl.profile(MOTION_SYSTEM), "--robot", str(ctl.home / "robot"), status=1)
-    assert "robot.yaml:16:" in output and "feet.left.sole" in output
+    assert "robot.yaml:19:" in output and "feet.left.sole" in output
     ctl.assert_nothing_left()
 
 
