@@ -132,7 +132,7 @@ def most_fixed(loop: ClosedLoop, direction: tuple[int, int], bound: float) -> fl
 
 
 def most_stepping(loop: ClosedLoop, direction: tuple[int, int]) -> tuple[float, Outcome | None, Outcome | None]:
-    """The largest push of ``LADDER`` survived below the first fall [N·s], what became of it, and of the last one."""
+    """The largest push of ``LADDER`` below the first fall [N·s], its outcome, and that of the last push."""
     best, most, last = None, 0.0, None
     for impulse in LADDER:
         last = forked(push, loop, direction, impulse, 6.0)

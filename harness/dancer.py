@@ -36,7 +36,7 @@ class Dancer(RobotInProcess):
         return self._behaviors.handle(BehaviorRequest(behavior, list(limbs)), "somebody")
 
     def setpoint(self, limb: str, velocity: float = 0.0) -> JointSetpoints:
-        """Of a limb: its place in the dance, at one velocity [rad/s]."""
+        """Set-points of a limb at its place in the dance, with one velocity [rad/s]."""
         position, ones = self.wanted[JOINTS[limb]], np.ones(len(JOINTS[limb]))
         return JointSetpoints(self.manager.time, ROBOT.tables.groups[limb], position, velocity * ones, 0.0 * ones)
 

@@ -5,14 +5,12 @@ drawn towards the voltage's.
 """
 
 import math
-from threading import Event
 
 import bifrost
 from valor.common.messages import BatteryStatus, Proprioceptor
 from valor.common.topics import BATTERIES
 from valor.comms_manager.hardware.condition import level
-from valor.comms_manager.hardware.device import Device, Fault, Part, UnitFault, UnitRecord
-from valor.devices.kinds import Quantity
+from valor.comms_manager.hardware.device import Fault, Part, UnitFault, UnitRecord, Watched
 from valor.robot.batteries import LOWEST, Batteries
 from valor.robot.description import RobotDescription
 from valor.service import Context
@@ -23,13 +21,11 @@ TIME_CONSTANT = 300.0  # in which an error of the charge decreases by a factor o
 MORE = 0.02  # hysteresis of the share of charge
 
 
-class BatteryMonitor(Device):
-    """Batteries, as a device without a port: the main loop calls ``update``."""
+class BatteryMonitor(Watched):
+    """Estimator and monitor of the charge; the main loop calls ``update``."""
 
-    def __init__(self, robot: RobotDescription, table: Batteries, node: bifrost.Node) -> None:  # none of robot.devices
-        self.name, self.provides, self.looks = NAME, Quantity(0), 0
-        self.rate = 0.0  # never slow: its states are the control periods
-        self.records, self.unit_faults = (UnitRecord(NAME),), ()
+    def __init__(self, robot: RobotDescription, table: Batteries, node: bifrost.Node) -> None:
+        super().__init__(NAME, 0.0, (UnitRecord(NAME),))  # never slow: its states are the control periods
         self._table, self._limit = table, robot.effort_limit
         self._publisher = BATTERIES.publisher(node)
         self._share = math.nan  # of charge
@@ -43,7 +39,6 @@ class BatteryMonitor(Device):
         return [cls(context.robot, table, context.node)] if table else []
 
     def part(self, unit: str) -> Part:
-        """Function of its unit."""
         return Part.BATTERY
 
     @property
@@ -79,9 +74,3 @@ class BatteryMonitor(Device):
                 f"charge {self._share:.0%}, {cell:.2f} V a cell; expected more than {limit:.0%}: charge or change them"
             )
             self.report_faults([UnitFault(NAME, fault, text)])
-
-    def find(self) -> None:
-        raise NotImplementedError  # no port
-
-    def run(self, stopping: Event) -> None:
-        raise NotImplementedError  # no thread

@@ -57,7 +57,7 @@ class FaultSwitches:
         self._until: dict[tuple[str, EmulatedFault], float] = {}
 
     def __bool__(self) -> bool:
-        """Whether a fault was injected, active or over, since all were cleared."""
+        """Return whether a fault was injected, active or over, since all were cleared."""
         return bool(self._until)
 
     def inject(self, unit: str, fault: EmulatedFault, until: float = math.inf) -> None:

@@ -40,7 +40,7 @@ _RIGHT, _DOWN = (
 
 @dataclass(frozen=True)
 class Picture:
-    """What the sensor sees at once; in the memory of its renderer, until the next.
+    """Image and disparity of one rendering, in the renderer's memory until the next one.
 
     Attributes:
         image: (HEIGHT, WIDTH, 3) red, green, blue.

@@ -54,7 +54,7 @@ class Components:
         self.reference = JointReference(robot)
         self.gains = JointGains(robot, self.command.impedance)
         self.servos = ServoCompensation(robot, self.command)
-        self.arm_pd = ArmPdControl(robot) if robot.tables.arm_control == "pd" else None
+        self.arm_pd = ArmPdControl(robot, self.command) if robot.tables.arm_control == "pd" else None
         self.upper_body = UpperBody(robot, self.reference)
         self.hand_goals = HandGoals(model, self.reference, robot.nominal_posture)
         self.hand_contacts = HandContacts(robot.tables.hands)

@@ -132,10 +132,10 @@ def test_both_imus_are_unplugged_one_after_the_other_and_plugged_in_again(standi
     standing.fail("kvh", "unplugged")
     wait_until(lambda: standing.behavior == "freeze", PATIENCE, "freeze")
     assert standing.state.reason.startswith(("imu", "kvh")), standing.state.reason
-    for imu in ("imu", "kvh"):
+    imus = ("imu", "kvh")
+    for imu in imus:
         standing.fail(imu, "")
-    for imu in ("imu", "kvh"):
-        wait_until(lambda imu=imu: standing.unit(imu)[0] == "ok", PATIENCE, "it is found again")
+    wait_until(lambda: all(standing.unit(imu)[0] == "ok" for imu in imus), PATIENCE, "they are found again")
 
 
 def test_the_comms_manager_may_die_under_a_standing_robot_and_come_back(standing: Bench) -> None:

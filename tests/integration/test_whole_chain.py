@@ -48,7 +48,7 @@ class Chain(RobotOnDevices):
 
 @pytest.fixture(scope="module")
 def chain() -> Iterator[Chain]:
-    """In Stand Manipulate."""
+    """The chain, in Stand Manipulate."""
     with on_devices("hdt_driver", "hdt_bridge", actuators="hardware") as running:
         running.start(VRC)
         running.wait_ready(VRC, PATIENCE)
@@ -101,7 +101,7 @@ def test_what_dies_under_a_goal_is_named_on_ros_and_the_robot_stands(chain: Chai
 
 
 def said(diagnostics: Topic, units: tuple[str, ...], reason: str) -> Callable[[], bool]:
-    """Whether every unit has been reported with the reason."""
+    """A check that every unit has been reported with the reason."""
 
     def there() -> bool:
         text = [f"{each.name} {each.message} {each.values}" for m in diagnostics.messages for each in m.status]

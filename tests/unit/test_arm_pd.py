@@ -24,7 +24,7 @@ FASTEST = 0.3  # of set-points when the offset is switched [rad/s]
 
 
 class OffsetRobot(StreamedRobot):
-    """With PD control, masses 5 % off; ``offset``: the VRC's controller of its arms, inactive."""
+    """A robot with PD control, masses 5 % off; ``offset``: the VRC's controller of its arms, inactive."""
 
     def __init__(self) -> None:
         super().__init__(load_robot(arm_control="pd"))

@@ -73,7 +73,7 @@ def test_on_hardware_the_voltage_is_that_of_the_legs_and_not_of_smaller_servos()
 
 
 def test_low_batteries_are_reported_and_critical_ones_stop_the_robot_once(tmp_path: Path, home: Path) -> None:
-    """With packs so small that they are low after some seconds of standing, and critical ten seconds later."""
+    """A robot with packs so small that they are low after seconds of standing, and critical ten seconds later."""
     folder = tmp_path / "escher"
     shutil.copytree(ESCHER.folder, folder)
     file = folder / "robot.yaml"

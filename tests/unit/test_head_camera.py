@@ -28,7 +28,7 @@ TURNS = [(0.0, 0.0), (0.2, 0.1), (-0.25, -0.15)]  # of neck_yaw and neck_pitch [
 
 
 def camera_in_world(robot: RobotDescription, joints: FloatArray) -> Pose:
-    """Of a robot that stands at the world's origin."""
+    """Pose of the camera in the world, of a robot that stands at its origin."""
     model = full_model(robot)
     qpos = model.nominal_qpos()
     qpos[model.qpos] = joints[model.joint_indices]
@@ -57,7 +57,7 @@ def lever_in_world() -> Pose:
 
 
 def posture(robot: RobotDescription, joints: FloatArray) -> Posture:
-    """Of a robot that stands at the world's origin."""
+    """Posture of a robot that stands at the world's origin."""
     place = np.array([0.0, 0.0, robot.tables.nominal_base_height])
     return Posture(0.0, "stand", place, np.array([1.0, 0.0, 0.0, 0.0]), joints)
 

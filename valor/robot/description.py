@@ -143,6 +143,10 @@ class RobotDescription:
         """Return the indices of a group's joints in every joint vector; (0,) if the robot lacks the limb."""
         return np.array([self.index[name] for name in self.tables.group(group)], dtype=np.intp)
 
+    def arms(self) -> list[npt.NDArray[np.intp]]:
+        """Return the indices of each arm's joints in every joint vector; of the arms that the robot has."""
+        return [self.group_indices(arm) for arm in ("left_arm", "right_arm") if self.tables.group(arm)]
+
     def frame_of(self, target: str) -> str:
         """Return the ROS frame of a body or site: its name in ``link_frames``, else its own."""
         return {name: frame for frame, name in self.tables.link_frames.items()}.get(target, target)

@@ -131,7 +131,7 @@ class Hardware(Backend):
         self._moving = providers(self._devices, Quantity.JOINT_STATE)
         self._senses = Proprioception(robot, self._devices)
         self.batteries = BatteryMonitor.of(context)
-        self._watch = DeviceWatch([*self._devices, *self.batteries])
+        self._watch = DeviceWatch(self._devices, self.batteries)
         self._status = DEVICES.publisher(context.node)
         self._pacer = Pacer(1.0, WallClock())
         self._admitted = 0

@@ -155,33 +155,55 @@ class DeviceContext:
     robot: RobotDescription
 
 
-class Device(ABC):
+class Watched(ABC):
+    """Units that ``watch.DeviceWatch`` monitors.
+
+    Attributes:
+        name: as in robot.yaml.
+        records: one per unit, in robot.yaml's order.
+        unit_faults: present faults, except timeouts. Replaced, never changed; the same object without a change.
+        rate: nominal rate of each unit's states [Hz].
+        silent_after: timeout of states [s].
+        looks: number of complete reads of the port. A timeout is a unit's fault only if the port was read.
+    """
+
+    silent_after: float = 0.1
+
+    def __init__(self, name: str, rate: float, records: tuple[UnitRecord, ...] = ()) -> None:
+        self.name, self.rate, self.records = name, rate, records
+        self.unit_faults: tuple[UnitFault, ...] = ()
+        self.looks = 0
+
+    @abstractmethod
+    def part(self, unit: str) -> Part:
+        """Return the function of a unit."""
+
+    def report_faults(self, unit_faults: list[UnitFault]) -> None:
+        """Replace the present faults, if they changed."""
+        if tuple(unit_faults) != self.unit_faults:
+            self.unit_faults = tuple(unit_faults)
+
+
+class Device(Watched):
     """A device behind one port, with its own thread.
 
     The main loop calls ``find`` and ``enable`` before the thread starts. ``run`` never raises for received data: it
     reports ``unit_faults``, and continues.
 
     Attributes:
-        name: as in robot.yaml.
         provides: quantities of its kind.
         joints: (m,) indices of its joints in the joint vectors; empty for sensors.
         places: Proprioceptor's wrenches that it measures, in order.
-        records: one per unit, in robot.yaml's order.
         joint_state, attitude, inertia, wrench: latest measurements; None before the first, and for other quantities.
             Replaced, never changed.
-        unit_faults: present faults, except timeouts. Replaced, never changed; the same object without a change.
-        rate: nominal rate of each unit's states [Hz].
-        silent_after: timeout of states [s].
-        looks: how often its thread has read its port completely. A timeout is a unit's fault only if the port was read.
         elapsed: time since ``find`` by the device's clock, if that can be the robot's [ns].
     """
 
-    silent_after: float = 0.1
     elapsed = 0
 
     def __init__(self, name: str, context: DeviceContext) -> None:
         robot = context.robot
-        self.name = name
+        super().__init__(name, robot.tables.control_rate)
         self.context = context
         self.joints: npt.NDArray[np.intp] = np.array(
             [robot.index[joint] for joint in robot.tables.device_joints(name)], dtype=np.intp
@@ -189,15 +211,11 @@ class Device(ABC):
         table = robot.tables.devices[name]
         self.provides = KINDS[table.kind].provides
         self.places: tuple[str, ...] = tuple(table.places)
-        self.records: tuple[UnitRecord, ...] = ()
         self.joint_state: JointMeasurement | None = None
         self.attitude: ImuMeasurement | None = None
         self.inertia: ImuMeasurement | None = None  # its orientation may be unknown
         self.wrench: WrenchMeasurement | None = None
-        self.unit_faults: tuple[UnitFault, ...] = ()
         self.command: JointCommands | None = None
-        self.looks = 0
-        self.rate = robot.tables.control_rate
         self.woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         """Readable after ``wake``: for ``select``, with the port."""
 
@@ -208,7 +226,7 @@ class Device(ABC):
         Raises DeviceError: names the device, the unit, and what was expected.
         """
 
-    def enable(self) -> None:  # noqa: B027 (sensors have no motors)
+    def enable(self) -> None:  # sensors have no motors
         """Switch the motors on; joints stay in place. Raises DeviceError: a unit is silent or rejects the request."""
 
     def part(self, unit: str) -> Part:
@@ -220,10 +238,10 @@ class Device(ABC):
             return Part.FOOT if place in FEET else Part.HAND
         return Part.IMU
 
-    def request_states(self) -> None:  # noqa: B027 (most have their own rate)
+    def request_states(self) -> None:  # most have their own rate
         """Let all units sample now (main loop)."""
 
-    def await_states(self) -> None:  # noqa: B027
+    def await_states(self) -> None:
         """Wait, within bounds, for the requested states (main loop)."""
 
     @abstractmethod
@@ -247,11 +265,6 @@ class Device(ABC):
         """Clear ``woken`` (device thread), before processing new input."""
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self.woken)
-
-    def report_faults(self, unit_faults: list[UnitFault]) -> None:
-        """Replace the present faults, if they changed."""
-        if tuple(unit_faults) != self.unit_faults:
-            self.unit_faults = tuple(unit_faults)
 
 
 def providers(devices: Sequence[Device], quantity: Quantity) -> list[Device]:

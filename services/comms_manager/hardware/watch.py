@@ -10,7 +10,7 @@ import numpy as np
 
 from valor.common.behaviors import Reaction
 from valor.common.messages import DeviceStatus
-from valor.comms_manager.hardware.device import Device, Fault, Part, providers
+from valor.comms_manager.hardware.device import Device, Fault, Part, Watched, providers
 from valor.comms_manager.hardware.proprioception import FRESH, tilt_between
 from valor.devices.kinds import Quantity
 
@@ -68,7 +68,7 @@ class FaultReaction:
     """A fault, and the robot's reaction to it."""
 
     unit: str  # device/unit
-    device: Device
+    device: Watched
     part: Part
     fault: Fault
     detail: str
@@ -78,7 +78,7 @@ class FaultReaction:
 class _Unit:
     """State of one unit."""
 
-    def __init__(self, device: Device, row: int) -> None:
+    def __init__(self, device: Watched, row: int) -> None:
         self.device = device
         self.record = device.records[row]
         # A device of one unit has the unit's name.
@@ -162,9 +162,10 @@ class DeviceWatch:
     balances by the primary.
     """
 
-    def __init__(self, devices: Sequence[Device]) -> None:
-        self._units = [_Unit(device, row) for device in devices for row in range(len(device.records))]
-        self._devices = devices
+    def __init__(self, devices: Sequence[Device], others: Sequence[Watched] = ()) -> None:
+        """``others``: units without a port."""
+        self._watched = (*devices, *others)
+        self._units = [_Unit(each, row) for each in self._watched for row in range(len(each.records))]
         self._imus = providers(devices, Quantity.ATTITUDE)
         self._unit_faults: tuple[object, ...] = ()
         self._window_due = self._report_due = self._comparison_due = 0.0
@@ -183,7 +184,7 @@ class DeviceWatch:
             self._window_due = seconds + RATE_WINDOW
             for unit in self._units:
                 changed |= unit.end_window(seconds)
-        unit_faults = tuple(device.unit_faults for device in self._devices)
+        unit_faults = tuple(each.unit_faults for each in self._watched)
         if any(a is not b for a, b in zip(unit_faults, self._unit_faults, strict=False)) or not self._unit_faults:
             self._unit_faults, changed = unit_faults, True
         if changed:

@@ -101,7 +101,7 @@ class Simulation(Backend):
         self._push_server = PushServer(context.node, plant)
         self._time_server = TimeServer(context.node, self._pacer, rate)
         self.batteries = BatteryMonitor.of(context)
-        self._watch = DeviceWatch(self.batteries)
+        self._watch = DeviceWatch((), self.batteries)
         self._status = DEVICES.publisher(context.node) if self.batteries else None
         self._period = round(robot.control_period * 1e9)
         self._periods = 0

@@ -14,17 +14,16 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.robot.description import RobotDescription
+from valor.whole_body.motor_command import MotorCommand
 from valor.whole_body.state import RobotState, WholeBodyCommand
 
 
 class ArmPdControl:
     """PD control of the joints of both arms, while the Whole-Body Controller moves them."""
 
-    def __init__(self, robot: RobotDescription) -> None:
-        arms = [robot.group_indices(arm) for arm in ("left_arm", "right_arm") if robot.tables.group(arm)]
-        indices = np.concatenate(arms) if arms else np.zeros(0, dtype=np.intp)
-        by_effort = np.array([joint.control == "force" for joint in robot.tables.joints.values()])
-        self.joints = indices[~by_effort[indices]]  # (m,) their indices in every joint vector
+    def __init__(self, robot: RobotDescription, motors: MotorCommand) -> None:
+        indices = np.concatenate([np.zeros(0, dtype=np.intp), *robot.arms()])
+        self.joints = indices[~motors.force[indices]]  # (m,) their indices in every joint vector
         self._gains = robot.tables.arm_pd
         self._fastest = robot.velocity_limit[self.joints]
         self._offsets = np.zeros(len(robot.joints))

@@ -137,7 +137,7 @@ class ServoCompensation:
     """
 
     def __init__(self, robot: RobotDescription, motors: MotorCommand) -> None:
-        arms = [robot.group_indices(group) for group in ("left_arm", "right_arm") if robot.tables.group(group)]
+        arms = robot.arms()
         indices = np.sort(np.concatenate(arms)) if arms else np.zeros(0, dtype=np.intp)
         wanted = robot.read(Tuning).arm_servos.compensation and robot.tables.arm_control == "compensated"
         compensated = motors.impedance[indices] & wanted
