@@ -74,16 +74,18 @@ def test_who_comes_late_is_reported_what_is_latched(viewer: Viewer, port: int) -
     viewer.wait(lambda: all(viewer.heard[topic] for topic in latched), "the first is told")
     with Viewer(port) as late:
         late.subscribe(*latched, "/tf")
-        late.wait(lambda: all(late.heard[topic] for topic in latched) and late.heard["/tf"], "the second, too")
+
+        def frames() -> set[str]:
+            """Of all publishers: each sensor tells its own place."""
+            received = [data for topic in ("/tf", "/tf_static") for _, data in late.heard[topic]]
+            told = [deserialize_message(data, TFMessage).transforms for data in received]
+            return {each.child_frame_id for transforms in told for each in transforms}
+
+        late.wait(lambda: all(late.heard[topic] for topic in latched), "the second, too")
         received = {topic: data[-1][1] for topic, data in late.heard.items()}
-    urdf = ElementTree.fromstring(deserialize_message(received["/robot_description"], String).data)
-    frames = {
-        each.child_frame_id
-        for topic in ("/tf", "/tf_static")
-        for each in deserialize_message(received[topic], TFMessage).transforms
-    }
-    links = {link.attrib["name"] for link in urdf.iter("link")}
-    assert {"base_link", "l_sole", "r_sole"} <= links & frames
+        urdf = ElementTree.fromstring(deserialize_message(received["/robot_description"], String).data)
+        links = {link.attrib["name"] for link in urdf.iter("link")}
+        late.wait(lambda: {"base_link", "l_sole", "r_sole"} <= links & frames(), "the soles' places")
     assert [link for link in urdf.iter("link") if link.find("visual") is not None]
     mode = deserialize_message(received["/flor/controller/mode"], ControlModeStatus)
     assert mode.current_control_mode == "stand"
