@@ -87,7 +87,15 @@ def crc32(data: bytes) -> int:
     """CRC-32 of the manual: polynomial 0x04C11DB7, start 0xFFFFFFFF, most significant bit first."""
     crc = 0xFFFFFFFF
     for octet in data:
-        crc ^= octet << 24
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x04C11DB7 if crc & 0x80000000 else crc << 1) & 0xFFFFFFFF
+        crc = (crc << 8 & 0xFFFFFFFF) ^ _REMAINDERS[crc >> 24 ^ octet]
     return crc
+
+
+def _remainder(octet: int) -> int:
+    crc = octet << 24
+    for _ in range(8):
+        crc = (crc << 1 ^ 0x04C11DB7 if crc & 0x80000000 else crc << 1) & 0xFFFFFFFF
+    return crc
+
+
+_REMAINDERS = [_remainder(octet) for octet in range(256)]

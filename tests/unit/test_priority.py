@@ -46,6 +46,26 @@ def test_a_loop_goes_first_and_its_other_threads_next_or_all_stay_as_they_are(pr
     assert result.stdout.splitlines() == expected
 
 
+_STOPPING = """
+import contextlib, os, sys
+from valor.valorctl.__main__ import run
+
+with contextlib.suppress(SystemExit):
+    run()
+child = os.posix_spawn("/bin/true", ["true"], {})
+own = os.sched_getscheduler(0) & os.SCHED_FIFO, os.sched_getparam(0).sched_priority
+print("\\n", *own, os.sched_getscheduler(child))
+"""
+
+
+@pytest.mark.parametrize(("verb", "hurries"), [("stop", True), ("down", True), ("status", False)])
+def test_a_stop_comes_next_after_the_loops_and_what_it_starts_does_not(verb: str, hurries: bool) -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", _STOPPING, verb, "--help"], capture_output=True, text=True, check=True, timeout=60.0
+    )
+    assert result.stdout.split()[-3:] == (["1", "1", "0"] if hurries and _granted() else ["0", "0", "0"])
+
+
 _CORES = """
 import os, sys, threading
 from valor.common.priority import take_cores
