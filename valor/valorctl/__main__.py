@@ -1,6 +1,5 @@
 """Entry point of ``valorctl`` and its exit status."""
 
-import contextlib
 import gc
 import os
 import signal
@@ -34,6 +33,8 @@ def _end(signum: int, _frame: object) -> None:
 
 def run() -> int:
     """Run the command line; returns 0, or 1 after a failure, or 128 plus the number of the signal."""
+    import contextlib  # only now, when signals are handled
+
     # `import mujoco` fails where the platform named by this variable is absent. Only pictures need a platform, and
     # they choose one themselves.
     if os.environ.get("MUJOCO_GL") != "osmesa":
