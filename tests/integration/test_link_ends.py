@@ -154,12 +154,12 @@ def test_what_nobody_serves_is_refused_with_the_reason(sides: tuple[Robot, RosCl
     _, _, operator = sides
 
     def refused() -> bool:
-        """Before the ends hear each other, and as they first do, other reasons are given."""
+        """Whether the reason is the final one; until the ends are connected the rejection has another."""
         result = operator.follow("neck", [(1.0, {"any": 0.0})], PATIENCE).result
         assert result.error_code != 0
         return "no action server" in result.error_string
 
-    wait_until(refused, PATIENCE, "what is missing at the robot to be told")
+    wait_until(refused, PATIENCE, "a rejection for the missing action server")
 
 
 def test_a_goal_ends_at_the_operators_as_at_the_robots(sides: tuple[Robot, RosClient, RosClient]) -> None:

@@ -62,8 +62,8 @@ def test_every_name_is_in_one_namespace_or_everybodys(clients: list[RosClient]) 
     def strangers() -> set[str]:
         return {name for name in names() if not name.startswith(tuple(f"/{each}/" for each in NAMESPACES))}
 
-    # A participant that was killed is known until its lease ends, also one of the system that had the domain before.
-    wait_until(lambda: strangers() <= everybodys, PATIENCE, "no name of neither robot")
+    # Names of a killed participant last until its lease ends, also those of an earlier system in this ROS domain.
+    wait_until(lambda: strangers() <= everybodys, PATIENCE, "names in the robots' namespaces alone")
     first, second = (
         {name.removeprefix(f"/{each}") for name in names() if name.startswith(f"/{each}/")} for each in NAMESPACES
     )

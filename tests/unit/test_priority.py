@@ -48,10 +48,10 @@ def test_a_loop_goes_first_and_its_other_threads_next_or_all_stay_as_they_are(pr
 
 _STOPPING = """
 import contextlib, os, sys
-from valor.valorctl.__main__ import run
+from valor.valorctl.__main__ import main
 
 with contextlib.suppress(SystemExit):
-    run()
+    main()
 child = os.posix_spawn("/bin/true", ["true"], {})
 own = os.sched_getscheduler(0) & os.SCHED_FIFO, os.sched_getparam(0).sched_priority
 print("\\n", *own, os.sched_getscheduler(child))

@@ -17,10 +17,21 @@ def main() -> int:
     for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(signum) is not signal.SIG_IGN:  # ignored under nohup
             signal.signal(signum, _end)
+    if not {"stop", "down"}.isdisjoint(sys.argv):
+        _take_priority()
     try:
         return run()
     finally:
         gc.freeze()  # the collection at exit takes longer than some verbs
+
+
+def _take_priority() -> None:
+    """Schedule this process next after the control loops, which may leave others a twentieth of a slow computer."""
+    import contextlib  # only now, when signals are handled
+
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, STOP_NICE)
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
 
 
 def _end(signum: int, _frame: object) -> None:
@@ -33,17 +44,10 @@ def _end(signum: int, _frame: object) -> None:
 
 def run() -> int:
     """Run the command line; returns 0, or 1 after a failure, or 128 plus the number of the signal."""
-    import contextlib  # only now, when signals are handled
-
     # `import mujoco` fails where the platform named by this variable is absent. Only pictures need a platform, and
     # they choose one themselves.
     if os.environ.get("MUJOCO_GL") != "osmesa":
         os.environ["MUJOCO_GL"] = "disable"
-    if not {"stop", "down"}.isdisjoint(sys.argv):
-        with contextlib.suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, 0, STOP_NICE)
-            # Next after the control loops, which may leave other processes a twentieth of a slow computer.
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
 
     from valor.common.errors import ValorError
     from valor.valorctl.terminal.app import app

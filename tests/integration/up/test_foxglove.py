@@ -76,16 +76,16 @@ def test_who_comes_late_is_reported_what_is_latched(viewer: Viewer, port: int) -
         late.subscribe(*latched, "/tf")
 
         def frames() -> set[str]:
-            """Of all publishers: each sensor tells its own place."""
-            received = [data for topic in ("/tf", "/tf_static") for _, data in late.heard[topic]]
-            told = [deserialize_message(data, TFMessage).transforms for data in received]
-            return {each.child_frame_id for transforms in told for each in transforms}
+            """Child frames of all publishers' transforms: each sensor publishes that of its mount."""
+            messages = [data for topic in ("/tf", "/tf_static") for _, data in late.heard[topic]]
+            transforms = [each for data in messages for each in deserialize_message(data, TFMessage).transforms]
+            return {each.child_frame_id for each in transforms}
 
-        late.wait(lambda: all(late.heard[topic] for topic in latched), "the second, too")
+        late.wait(lambda: all(late.heard[topic] for topic in latched), "latched messages at the second viewer")
         received = {topic: data[-1][1] for topic, data in late.heard.items()}
         urdf = ElementTree.fromstring(deserialize_message(received["/robot_description"], String).data)
         links = {link.attrib["name"] for link in urdf.iter("link")}
-        late.wait(lambda: {"base_link", "l_sole", "r_sole"} <= links & frames(), "the soles' places")
+        late.wait(lambda: {"base_link", "l_sole", "r_sole"} <= links & frames(), "transforms of base and soles")
     assert [link for link in urdf.iter("link") if link.find("visual") is not None]
     mode = deserialize_message(received["/flor/controller/mode"], ControlModeStatus)
     assert mode.current_control_mode == "stand"

@@ -27,7 +27,7 @@ from valor.ros.definitions import message_type, type_hash
 ARM = "/trajectory_controllers/right_arm_traj_controller/follow_joint_trajectory/_action"
 WALK = "/robot_controllers/footstep_controller/execute_step_plan/_action"
 READ = ("/joint_states", "/tf", "/tf_static", "/robot_description", "/odom", f"{ARM}/status", f"{ARM}/feedback")
-MANY = ("/rosout", "/tf_static")  # topics of several writers
+SHARED = ("/rosout", "/tf_static")  # topics of several publishers
 RARE = ("goal_status", "rejection", "controller_state")  # published only on an event, or to a subscriber
 STRETCH = 30_000_000_000  # of a bag that is read completely [ns]
 MOST = 500  # messages of a topic that are compared
@@ -71,7 +71,7 @@ def test_mcap_counts_types_hashes_and_stamps(bag: Path, file: Path) -> None:
         for _, channel, message in reader.iter_messages(log_time_order=False):
             counts[channel.topic] += 1
             assert message.publish_time <= message.log_time
-            if channel.topic not in MANY:  # writers, whose messages the middleware hands over as it likes
+            if channel.topic not in SHARED:  # DDS orders the messages of one publisher only
                 assert last.get(channel.topic, 0) <= message.log_time, f"{channel.topic} in the order of its log times"
             last[channel.topic] = message.log_time
     declared = {
