@@ -35,6 +35,7 @@ SLOWLY = f"""
 }}
 """
 PATIENCE = 150.0  # on a busy computer that draws without a graphics card [s]
+AGAIN = 15.0  # after which a person presses again if nothing is seen to happen [s]
 VIEW = """() => {
   const camera = window.__viserMutable.camera;
   camera.updateMatrixWorld();
@@ -104,20 +105,24 @@ class Page:
     def command(self, label: str, begins: str, ends: str) -> None:
         """Press a button until the command that it gives ends so.
 
-        A browser that draws without a graphics card answers so slowly at times that a press counts as late, and what
-        has just been started is not found at once; then it is pressed again, as a person would.
+        A browser that draws without a graphics card answers so slowly at times that a press counts as late, that the
+        button moves away under the mouse (no command is listed), and what has just been started is not found at once;
+        then it is pressed again, as a person would.
         """
         given = self.number()
         deadline = time.monotonic() + PATIENCE
         self.press(label)
+        again = time.monotonic() + AGAIN
         while True:
             if self.commanded(begins, ends, given):
                 return
             lines = [line for line in self.text("commands").splitlines()[1:] if _number(line) > given]
             assert time.monotonic() < deadline, f"{begins} … {ends}: not within {PATIENCE:g} s; {lines}"
-            if lines and PASSING.search(lines[0]) and self.button(label).is_enabled():
+            missed = PASSING.search(lines[0]) if lines else time.monotonic() > again
+            if missed and self.button(label).is_enabled():
                 given = self.number()
                 self.press(label)
+                again = time.monotonic() + AGAIN
             self.page.wait_for_timeout(500)
 
     def number(self) -> int:
@@ -147,7 +152,7 @@ class Page:
                     box.blur()
                 self.page.wait_for_timeout(500)  # the fields are sent a moment behind the last key
                 self.press(button)
-                again = time.monotonic() + 15.0
+                again = time.monotonic() + AGAIN
             self.page.wait_for_timeout(100)
 
     def tab(self, name: str) -> None:
