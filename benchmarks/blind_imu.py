@@ -48,7 +48,7 @@ def run(speed: float, pause: float, seed: int) -> str:
     loop.run(1.0)
     steps = VelocitySteps(robot.tables.walking)
     if speed:
-        loop.controller.step_source = steps
+        loop.request.steps = steps
 
     def each(loop: ClosedLoop) -> None:
         steps.command(np.array((speed, 0.0, 0.0)), loop.time)

@@ -88,7 +88,7 @@ PROFILES = ("ideal", "hardware", "series_elastic")
 
 STAGES = {
     "estimator": "estimator.update",
-    "– of it MuJoCo's kinematics and dynamics": "estimator.dynamics.evaluate",
+    "– of it MuJoCo's kinematics and dynamics": "estimator.kinematics.evaluate",
     "fall detection": "detector.update",
     "controller": "controller.update",
     "– gait, swinging foot, adjustment": "controller._step",
@@ -117,7 +117,7 @@ def timed(
         setattr(owner, method, stopwatch(getattr(owner, method), spent[name]))
     source = VelocitySteps(robot.tables.walking)
     if speed:
-        loop.controller.step_source = source
+        loop.request.steps = source
     evicted = np.zeros(4 << 20, dtype=np.uint8)
     due = time.perf_counter()
 

@@ -49,7 +49,7 @@ def run(loop: ClosedLoop, speed: float) -> tuple[str | None, np.ndarray]:
     """Stand or walk; how it fell, and the DCM's error, RMS (3,) [m]."""
     source = VelocitySteps(loop.robot.tables.walking)
     if speed:
-        loop.controller.step_source = source
+        loop.request.steps = source
     until, errors = loop.time + SECONDS, []
     while loop.fall is None and loop.time < until:
         source.command(np.array((speed, 0.0, 0.0)), loop.time)

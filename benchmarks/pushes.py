@@ -14,11 +14,10 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 
 from harness.closed_loop import ClosedLoop, load_robot
+from valor.control.kinematics import UpperBodyKinematics, natural_frequency
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
 from valor.robot.model import controller_model
-from valor.whole_body.balance.reference import DcmLaw
-from valor.whole_body.model.dynamics import UpperBodyKinematics
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 DIRECTIONS = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
@@ -86,7 +85,7 @@ def push(
         steps += loop.controller.swinging is not None and loop.controller.swinging != swinging
         swinging = loop.controller.swinging
         errors.append((loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2])
-        if not loop.controller.stepping and loop.time > began + SETTLED and np.hypot(*errors[-1]) < AT_REST:
+        if loop.controller.at_rest and loop.time > began + SETTLED and np.hypot(*errors[-1]) < AT_REST:
             break
         knee = min(knee, float(bent.flexion(loop.plant.joint_position).min()))
         saturated += int(np.count_nonzero(np.abs(loop.command.effort) >= 0.999 * loop.robot.effort_limit))
@@ -112,7 +111,7 @@ def bounds(robot: RobotDescription) -> dict[str, float]:
     """m·ω·Δξ for each direction [N·s]: what a point mass with its CoP at the sole's edge survives at most."""
     model = controller_model(robot)
     mass = float(model.mj.body_subtreemass[model.body(robot.tables.base)])
-    omega = DcmLaw.natural_frequency(UpperBodyKinematics(model).nominal_com_height, 9.81)
+    omega = natural_frequency(UpperBodyKinematics(model).nominal_com_height, 9.81)
     foot = robot.tables.feet.left
     loop = ClosedLoop(robot)
     loop.step()
@@ -180,7 +179,7 @@ def walking(name: str, profile: str, seeds: int) -> Iterator[str]:
     for seed in range(seeds):
         outcomes: dict[float, list[tuple[str, Outcome]]] = {impulse: [] for impulse in IMPULSES}
         loop = standing(load_robot(name), profile, seed)
-        walk = loop.controller.step_source = VelocitySteps(loop.robot.tables.walking)
+        walk = loop.request.steps = VelocitySteps(loop.robot.tables.walking)
         period, began, phase = 2.0 * sum(walk.durations(np.array((SPEED, 0.0, 0.0)))), np.inf, 0
         swinging: int | None = 0
         directions = list(DIRECTIONS.items())

@@ -9,13 +9,14 @@ import numpy as np
 
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common import rotation
+from valor.control.steps import Step
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
 from valor.robot.step_plan import FEET, PlanStep
 from valor.robot.tables import RobotTables
 from valor.simulation import worlds
 from valor.simulation.worlds.courses import Stairs
-from valor.whole_body.walking.footsteps import Step, StepQueue, level_pose
+from valor.whole_body.walking.footsteps import StepQueue, level_pose
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 SWING_HEIGHT = 0.08  # between steps of stairs [m]
@@ -77,21 +78,21 @@ def courses(name: str, profile: str, seeds: int) -> Iterator[str]:
 def walk(robot: RobotDescription, profile: str, seed: int, velocity: tuple[float, float, float]) -> str:
     """One walk on the flat, as the cells of its row."""
     loop = standing_in(robot, profile, seed, "flat")
-    source = loop.controller.step_source = VelocitySteps(robot.tables.walking)
+    source = loop.request.steps = VelocitySteps(robot.tables.walking)
     until = loop.time + WALK_DURATION
 
     def going() -> bool:
         if loop.time < until:
             source.command(np.array(velocity), loop.time)
         source.advance(loop.time)
-        return loop.time < until or loop.controller.stepping
+        return loop.time < until or not loop.controller.at_rest
 
     return measure(loop, going)
 
 
 def follow(loop: ClosedLoop, speed: float, way: float) -> str:
     """A way straight ahead at a speed, kept to by odometry, as the cells of its row."""
-    source = loop.controller.step_source = VelocitySteps(loop.robot.tables.walking)
+    source = loop.request.steps = VelocitySteps(loop.robot.tables.walking)
 
     def going() -> bool:
         state = loop.state
@@ -100,14 +101,14 @@ def follow(loop: ClosedLoop, speed: float, way: float) -> str:
             turn = -0.6 * rotation.yaw(state.pelvis_rotation_in_odom) - 0.3 * y
             source.command(np.array((speed, 0.0, min(0.2, max(-0.2, turn)))), loop.time)
         source.advance(loop.time)
-        return x < way or loop.controller.stepping
+        return x < way or not loop.controller.at_rest
 
     return measure(loop, going)
 
 
 def climb(loop: ClosedLoop, stairs: Stairs) -> str:
     """A flight of stairs up and down by plan, as the cells of its row."""
-    queue = loop.controller.step_source = StepQueue()
+    queue = loop.request.steps = StepQueue()
     queue.begin(as_steps(loop.robot, over_stairs(loop.robot.tables, stairs)))
     return measure(loop, lambda: queue.running)
 

@@ -6,6 +6,11 @@ import numpy as np
 
 from valor.common.behaviors import NOTHING_TO_LEAD, Manipulation
 from valor.common.messages import MotionState
+from valor.control.estimation.estimator import FloatingBaseEstimator
+from valor.control.fall import FallDetector
+from valor.control.motor_command import MotorCommand
+from valor.control.state import RobotState
+from valor.control.steps import SolePose
 from valor.motion_manager.behavior_fsm import BehaviorFsm, Conditions
 from valor.motion_manager.handlers.handler import RejectionCounter
 from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
@@ -21,14 +26,10 @@ from valor.motion_manager.locomotion.posture_control import AT_REST, PostureCont
 from valor.motion_manager.safety import ControlAuthority, DeviceReactions, Stance
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.whole_body.balance.fall import FallDetector
+from valor.whole_body.command import QpStatus
 from valor.whole_body.controller import WholeBodyController
-from valor.whole_body.estimation.estimator import FloatingBaseEstimator
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import QpStatus, RobotState
 from valor.whole_body.walking.footsteps import StepQueue
 from valor.whole_body.walking.gait import sole_poses
-from valor.whole_body.walking.swing import SolePose
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 _ZEROS = np.zeros(6)
@@ -46,10 +47,10 @@ class Components:
         self.rejections = RejectionCounter()
         self.estimator = FloatingBaseEstimator(robot, model)
         self.detector = FallDetector(robot)
-        self.controller = WholeBodyController(robot, model)
-        self.stance = Stance(robot, self.estimator.dynamics.mass * self.estimator.dynamics.gravity)
+        self.controller = WholeBodyController(robot, self.estimator.kinematics)
+        self.stance = Stance(robot, self.estimator.kinematics.mass * self.estimator.kinematics.gravity)
         self.authority = ControlAuthority(self.fsm, self.stance, self._swings)
-        self.device_reactions = DeviceReactions(self.fsm, lambda: self.controller.stepping)
+        self.device_reactions = DeviceReactions(self.fsm, lambda: not self.controller.at_rest)
         self.command = MotorCommand(robot)
         self.reference = JointReference(robot)
         self.gains = JointGains(robot, self.command.impedance)
@@ -76,7 +77,7 @@ class Components:
             self.drivers.not_prepared(state, self.time * 1e-9),
             self.stance.not_loaded(state),
             self.stance.not_upright(state) or self.falling,
-            "the robot has not come to rest from stepping yet" if self.controller.stepping else "",
+            "the robot has not come to rest from stepping yet" if not self.controller.at_rest else "",
             self.get_up.rejection(state),
             "" if self.upper_body.joints[Manipulation].any() else NOTHING_TO_LEAD,
         )
@@ -149,4 +150,4 @@ class Components:
 
     def _swings(self, state: RobotState) -> bool:
         fastest = (self.command.force * np.abs(state.joint_velocity)).max()
-        return self.controller.stepping and bool(fastest > AT_REST)
+        return not self.controller.at_rest and bool(fastest > AT_REST)

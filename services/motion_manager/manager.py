@@ -11,12 +11,12 @@ import numpy as np
 from valor.common.behaviors import Behavior, Locomotion, Manipulation
 from valor.common.messages import MotionState, Motor, Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
+from valor.control.state import RobotState
+from valor.control.watchdog import ProprioceptorWatchdog
 from valor.motion_manager.components import Components
 from valor.motion_manager.safety import BROUGHT_TO_STAND
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.whole_body.state import RobotState
-from valor.whole_body.watchdog import ProprioceptorWatchdog
 
 FAULTY = 0.01  # duration of malformed Proprioceptors or internal errors before Fall [s]
 LOGGED = 10.0  # interval of log lines on continued errors [s]
@@ -114,7 +114,7 @@ class MotionManager:
         components = self.components
         if components.drivers.current is not None:
             components.drivers.reset_driver(Locomotion.IDLE)
-            components.controller.leave()
+            components.controller.end()
         zeros = np.zeros_like(proprioceptor.joint_position)
         components.command.hold(proprioceptor.joint_position, zeros, proprioceptor.joint_effort)
 

@@ -11,11 +11,11 @@ from math import acos, degrees
 from valor.common.behaviors import REFLEX, Behavior, Locomotion, Reaction
 from valor.common.messages import DeviceStatus
 from valor.common.topics import PROPRIOCEPTOR
+from valor.control.state import RobotState
+from valor.control.tuning_tables import Tuning
+from valor.control.watchdog import LONGEST_GAP, Gap
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.robot.description import RobotDescription
-from valor.whole_body.state import RobotState
-from valor.whole_body.tuning_tables import Tuning
-from valor.whole_body.watchdog import LONGEST_GAP, Gap
 
 UPRIGHT = 0.5  # largest tilt, fraction of that at which the robot counts as falling
 FOOT_LOAD = 0.15  # least load of each foot, fraction of the robot's weight

@@ -9,13 +9,13 @@ import pytest
 from harness.places import ROBOTS
 from harness.waiting import some
 from valor.common.errors import ConfigurationError
+from valor.control.motor_command import MotorCommand
 from valor.motion_manager.joints.servos import ServoCompensation
 from valor.robot import arm_calibration
 from valor.robot.arm_calibration import ArmCalibration, JointCalibration, LinkCalibration
 from valor.robot.checks.folder import examine
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model, full_model
-from valor.whole_body.motor_command import MotorCommand
 
 
 def found(robot: RobotDescription, side: str, **changed: float) -> ArmCalibration:

@@ -19,10 +19,10 @@ from tests.unit.test_footstep_plan import LIMITS, MOVE, REACH, ROBOT, make_plan,
 from tests.unit.test_motion_manager_footsteps import Bench
 from valor.common.messages import Footstep
 from valor.common.poses import Pose
+from valor.control.steps import SolePose
+from valor.control.steps import Step as TakenStep
 from valor.footstep_converter.motion_system import footstep
 from valor.footstep_converter.plan import PlannedStep, PlanRejectedError, RunningPlan, convert, frame
-from valor.whole_body.walking import footsteps
-from valor.whole_body.walking.swing import SolePose
 
 S = FootstepExecutionStatus
 INDICES, INVALID, INCONSISTENT = S.ERR_INVALID_INCONSISTENT_INDICES, S.ERR_INVALID_PLAN, S.ERR_INCONSISTENT_STEP_PLAN
@@ -133,7 +133,7 @@ def check_refusal(refusal: PlanRejectedError | str, flags: set[int]) -> None:
         assert refusal.status in flags, text
 
 
-def check_steps(taken: list[footsteps.Step], asked: list[Step], tolerance: float = 0.0) -> None:
+def check_steps(taken: list[TakenStep], asked: list[Step], tolerance: float = 0.0) -> None:
     """What the queue got is what the message states, and nothing else."""
     assert [step.index for step in taken] == [step.step_index for step in asked]
     for step, wanted in zip(taken, asked, strict=True):
@@ -145,7 +145,7 @@ def check_steps(taken: list[footsteps.Step], asked: list[Step], tolerance: float
         assert step.transfer_duration == (wanted.sway_duration or ROBOT.tables.walking.transfer_duration)
 
 
-def check_feasible(steps: list[footsteps.Step], before: SolePose) -> None:
+def check_feasible(steps: list[TakenStep], before: SolePose) -> None:
     """Each step is finite, and one that the rule allows while the other foot stands."""
     for i, step in enumerate(steps):
         assert step.foot == (steps[0].foot + i) % 2

@@ -7,11 +7,11 @@ import pytest
 
 from harness.closed_loop import load_robot
 from valor.common.arrays import FloatArray
+from valor.control.state import RobotState
 from valor.motion_manager.hands.goal_stream import HandGoal
 from valor.motion_manager.hands.hand_goals import SIDES, HandGoals
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.robot.model import controller_model, full_model
-from valor.whole_body.state import RobotState
 
 ROBOT = load_robot()
 MODEL = controller_model(ROBOT)

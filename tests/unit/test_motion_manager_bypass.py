@@ -7,11 +7,11 @@ from bifrost import Received
 from harness.still_robot import ROBOT, Robot
 from valor.common.behaviors import Behavior
 from valor.common.messages import BalanceWeights, HandGoal, HandGoalStatus, JointGains, JointSetpoints
+from valor.control.tuning_tables import Tuning
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from valor.motion_manager.handlers.motion import HandGoalHandler
 from valor.motion_manager.handlers.tuning import BalanceWeightsHandler, JointGainsHandler
 from valor.motion_manager.hands.hand_goals import GRACE
-from valor.whole_body.tuning_tables import Tuning
 
 RIGHT = ROBOT.group_indices("right_arm")
 LEFT = ROBOT.group_indices("left_arm")

@@ -9,9 +9,9 @@ from harness.examples import examples
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
 from valor.common.messages import JointMode, Motor
+from valor.control.controller import JointCommand
+from valor.control.motor_command import MotorCommand
 from valor.robot.description import RobotDescription
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import QpStatus, WholeBodyCommand
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 N = len(ROBOT.joints)
@@ -21,6 +21,7 @@ COMPLIANT = FORCE | IMPEDANCE
 LED = COMPLIANT.copy()  # and the waist's, whatever drives it
 LED[ROBOT.group_indices("torso")] = True
 LIMIT = ROBOT.effort_limit
+STIFFNESS, DAMPING = (np.where(FORCE, 0.0, gains) for gains in (ROBOT.servo_stiffness, ROBOT.servo_damping))
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -30,8 +31,8 @@ def wish(rng: np.random.Generator, scale: float = 0.5) -> tuple[FloatArray, Floa
     return position, rng.uniform(-1.0, 1.0, N), scale * rng.uniform(-1.0, 1.0, N) * LIMIT
 
 
-def whole_body(position: FloatArray, velocity: FloatArray, effort: FloatArray) -> WholeBodyCommand:
-    return WholeBodyCommand(effort, np.zeros(N), position, velocity, np.zeros(3), np.zeros(2), QpStatus.OPTIMAL, 0)
+def whole_body(position: FloatArray, velocity: FloatArray, effort: FloatArray) -> JointCommand:
+    return JointCommand(position, velocity, effort, STIFFNESS, DAMPING)
 
 
 def said(command: MotorCommand) -> Motor:

@@ -18,7 +18,7 @@ from valor.common.messages import JointSetpoints
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from valor.motion_manager.locomotion.balance import LONGEST_INFEASIBLE
 from valor.motion_manager.manager import FAULTY
-from valor.whole_body.state import QpStatus, WholeBodyCommand
+from valor.whole_body.command import QpStatus, WholeBodyCommand
 
 
 @pytest.fixture

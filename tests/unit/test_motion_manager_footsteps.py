@@ -10,11 +10,12 @@ from harness.places import ROBOTS
 from harness.waiting import some
 from valor.common.behaviors import Behavior
 from valor.common.messages import Footstep, FootstepPlanRequest, StepStatus
+from valor.control.steps import Step
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.handlers.handler import RejectionCounter
 from valor.robot.description import RobotDescription
-from valor.whole_body.walking.footsteps import Step, StepQueue, level_pose
+from valor.whole_body.walking.footsteps import StepQueue, level_pose
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
 

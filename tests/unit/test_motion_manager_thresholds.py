@@ -14,13 +14,13 @@ from tests.unit.test_motion_manager_bypass import goal, lead, standing
 from valor.common.arrays import FloatArray
 from valor.common.messages import BalanceWeights, Proprioceptor
 from valor.common.rotation import NORM
+from valor.control.tuning_tables import Tuning
+from valor.control.watchdog import LONGEST_GAP, ProprioceptorWatchdog
 from valor.motion_manager.handlers.handler import STALE, RejectionCounter
 from valor.motion_manager.handlers.motion import FARTHEST
 from valor.motion_manager.handlers.tuning import BalanceWeightsHandler
 from valor.motion_manager.hands.hand_loads import HandContacts
 from valor.motion_manager.safety import FEET_LOAD, FOOT_LOAD, UPRIGHT, Stance
-from valor.whole_body.tuning_tables import Tuning
-from valor.whole_body.watchdog import LONGEST_GAP, ProprioceptorWatchdog
 
 TILT = UPRIGHT * ROBOT.read(Tuning).fall.tilt
 FOUND = Robot()

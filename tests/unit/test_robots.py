@@ -15,6 +15,7 @@ from tests.unit.robot_setup.builds import made
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.table import Table
+from valor.control.tuning_tables import Disturbance, FallDetection, Tuning
 from valor.robot.checks.folder import asymmetries
 from valor.robot.checks.stance import Stance
 from valor.robot.description import RobotDescription
@@ -23,7 +24,6 @@ from valor.robot.motion_tables import Footsteps, PelvisMotion, SelfCollision, Wa
 from valor.robot.size import ESCHER, Size, completed, factors
 from valor.robot.tables import WHOLE_BODY_GROUPS
 from valor.valorctl.robots import robot_check
-from valor.whole_body.tuning_tables import Disturbance, FallDetection, Tuning
 
 ALL = {file.parent.name: RobotDescription.load(file.parent) for file in sorted(ROBOTS.glob("*/robot.yaml"))}
 FULL = {name: full_model(robot, "collision") for name, robot in ALL.items()}

@@ -99,7 +99,7 @@ def test_a_robot_on_springs_stands_walks_and_withstands_a_push(robot: RobotDescr
     loop = ClosedLoop(robot, "series_elastic", 1)
     loop.settle(0.3)
     loop.run(1.0)
-    walk = loop.controller.step_source = VelocitySteps(robot.tables.walking)
+    walk = loop.request.steps = VelocitySteps(robot.tables.walking)
     start = loop.plant.data.qpos[0]
 
     def each(loop: ClosedLoop) -> None:

@@ -9,13 +9,13 @@ from harness.closed_loop import load_robot
 from harness.examples import examples
 from tests.unit.test_hand_reach import MODEL, UNMOVED, Arms
 from valor.common.arrays import FloatArray
+from valor.control.kinematics import ModelJoints
 from valor.motion_manager.hands.goal_stream import HandGoal
 from valor.motion_manager.joints.joint_reference import MISMATCH, MISMATCH_TIME, JointReference, Setpoint
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.limiter import Joints
 from valor.robot.motion_tables import Walking
 from valor.whole_body.balance.pelvis import PelvisReference
-from valor.whole_body.model.dynamics import ModelJoints
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 ROBOT = load_robot()

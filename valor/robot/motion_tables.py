@@ -1,4 +1,4 @@
-"""Tables of robot.yaml for motion; those that only controllers read are in ``valor.whole_body.tuning_tables``."""
+"""Tables of robot.yaml for motion; those that only controllers read are in ``valor.control.tuning_tables``."""
 
 from typing import Annotated
 

@@ -155,7 +155,7 @@ class SelfTest:
             until = loop.time + RECOVERY
             while loop.time < until and loop.fall is None:
                 loop.step()
-                stepped = stepped or loop.controller.stepping
+                stepped = stepped or not loop.controller.at_rest
             error = np.hypot(*(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2])
             measured = f"{IMPULSE * mass:.1f} N·s" + (", by a step" if stepped else "")
             limit = _CALM * self._half_width
@@ -182,9 +182,9 @@ class SelfTest:
 
     def _walk(self, loop: MeasuredLoop) -> tuple[str, str]:
         speed = min(SPEED * math.sqrt(self._size), self._robot.tables.walking.max_forward_speed)
-        loop.controller.step_source = source = VelocitySteps(self._robot.tables.walking)
+        loop.request.steps = source = VelocitySteps(self._robot.tables.walking)
         began = loop.time
-        while loop.fall is None and (loop.time < began + WALK or loop.controller.stepping):
+        while loop.fall is None and (loop.time < began + WALK or not loop.controller.at_rest):
             if loop.time < began + WALK:
                 source.command(np.array((speed, 0.0, 0.0)), loop.time)
             source.advance(loop.time)

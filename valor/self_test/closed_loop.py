@@ -14,6 +14,11 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
+from valor.control.controller import JointTargets, Request
+from valor.control.estimation.estimator import FloatingBaseEstimator
+from valor.control.fall import FallDetector
+from valor.control.motor_command import MotorCommand
+from valor.control.state import RobotState
 from valor.robot.checks.stance import Stance
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
@@ -22,11 +27,8 @@ from valor.robot.tables import SIDES
 from valor.self_test.results import Measurements
 from valor.simulation.plant import Plant
 from valor.simulation.sensors import Sensors
-from valor.whole_body.balance.fall import FallDetector
+from valor.whole_body.command import WholeBodyCommand
 from valor.whole_body.controller import WholeBodyController
-from valor.whole_body.estimation.estimator import FloatingBaseEstimator
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import RobotState, UpperBodyReference, WholeBodyCommand
 
 _AT_LIMIT = 0.999  # share of an effort limit
 
@@ -40,10 +42,13 @@ class ClosedLoop:
         self.sensors = Sensors(robot, self.plant, robot.tables.actuators[profile].noise, seed)
         model = controller_model(robot)
         self.estimator = FloatingBaseEstimator(robot, model)
-        self.controller = WholeBodyController(robot, model)
+        self.controller = WholeBodyController(robot, self.estimator.kinematics)
         self.detector = FallDetector(robot)
         n = len(robot.joints)
-        self.reference = UpperBodyReference(robot.nominal_posture.copy(), np.zeros(n), np.zeros(n))
+        self.reference = JointTargets(
+            robot.nominal_posture.copy(), np.zeros(n), np.zeros(n), robot.servo_stiffness, robot.servo_damping
+        )
+        self.request = Request(self.reference)  # its steps are taken
         self.state: RobotState  # of the last period
         self.command: WholeBodyCommand  # of the last period
         self.fall: str | None = None  # first reason of the FallDetector; None before
@@ -79,10 +84,10 @@ class ClosedLoop:
         began = perf_counter()
         self.state = state = self.estimator.update(measured)
         if not self._started:
-            self.controller.reset(state)
+            self.controller.begin(state)
             self._started = True
         reason = self.detector.update(state, self.controller.footholds(state))
-        self.command = command = self.controller.update(state, self.reference, self.robot.control_period)
+        self.command = command = self.controller.update(state, self.request, self.robot.control_period)
         self.tick_times.append(perf_counter() - began)
         if reason is not None and self.fall is None:
             self.fall = reason

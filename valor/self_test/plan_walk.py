@@ -12,6 +12,7 @@ import numpy as np
 from valor.common.behaviors import Behavior
 from valor.common.messages import Footstep, FootstepPlanRequest
 from valor.common.poses import Pose, middle
+from valor.control.steps import SolePose
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.handlers.footstep_plan import FootstepPlanHandler
 from valor.motion_manager.handlers.handler import RejectionCounter
@@ -21,7 +22,6 @@ from valor.robot.step_plan import FEET, PlanStep
 from valor.self_test.closed_loop import ClosedLoop
 from valor.whole_body.walking.footsteps import StepQueue
 from valor.whole_body.walking.gait import sole_poses
-from valor.whole_body.walking.swing import SolePose
 
 STEP_DURATION = 10.0  # of a step with its transfer, at most [s]
 REST = 1.0  # between the last step and the measurement of the feet [s]
@@ -85,7 +85,7 @@ def take_plan(loop: ClosedLoop, steps: Sequence[PlanStep]) -> Walked:
     reply = handler.handle(FootstepPlanRequest(steps=footsteps(steps, planned)), "test")
     if not reply.accepted:
         return Walked(reply.reason)
-    loop.controller.step_source = queue
+    loop.request.steps = queue
     began, landed, landing = loop.time, -1, (0.0, 0.0)
     bent = knees(robot)
     knee = math.inf

@@ -14,11 +14,11 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel, clipped
+from valor.control.tuning_tables import Tuning, WholeBody
 from valor.robot.description import RobotDescription
 from valor.robot.model import Indices, Model
 from valor.robot.tables import Foot
-from valor.whole_body.model.dynamics import Dynamics
-from valor.whole_body.tuning_tables import Tuning, WholeBody
+from valor.whole_body.task_dynamics import TaskDynamics
 
 FASTEST = 4.0  # Highest speed at which two bodies approach each other [m/s]
 REACH = 0.6  # Largest distance computed [m]
@@ -56,7 +56,7 @@ class JointLimit(ABC):
         """Return (nj,) y."""
 
     @abstractmethod
-    def rows(self, dynamics: Dynamics, forces: FloatArray, joints: npt.NDArray[np.intp]) -> Limit:
+    def rows(self, dynamics: TaskDynamics, forces: FloatArray, joints: npt.NDArray[np.intp]) -> Limit:
         """Return the limits of (k,) joints of the model; ``forces`` is (nρ, nv), generalised forces of generators."""
 
 
@@ -89,7 +89,7 @@ class JointLimits(JointLimit):
     def value(self, solved: Solved) -> Expression:
         return solved.acceleration
 
-    def rows(self, dynamics: Dynamics, forces: FloatArray, joints: npt.NDArray[np.intp]) -> Limit:
+    def rows(self, dynamics: TaskDynamics, forces: FloatArray, joints: npt.NDArray[np.intp]) -> Limit:
         rows = np.zeros((joints.size, dynamics.velocity.size))
         rows[np.arange(joints.size), 6 + joints] = 1.0
         return Limit(rows, np.zeros(joints.size), np.zeros((joints.size, forces.shape[0])))
@@ -109,7 +109,7 @@ class TorqueLimits(JointLimit):
     def value(self, solved: Solved) -> Expression:
         return solved.inertial + solved.bias + ca.DM(self._damping) * solved.velocity - solved.contact
 
-    def rows(self, dynamics: Dynamics, forces: FloatArray, joints: npt.NDArray[np.intp]) -> Limit:
+    def rows(self, dynamics: TaskDynamics, forces: FloatArray, joints: npt.NDArray[np.intp]) -> Limit:
         offset = dynamics.bias[6:] + self._damping * dynamics.joint_velocity
         return Limit(dynamics.mass_matrix[6 + joints], offset[joints], forces[:, 6 + joints].T)
 
@@ -204,7 +204,7 @@ class SelfCollision:
         self.rows = 0  # number of limits at the last update
         self.lower = np.zeros(0)  # (rows,) lower bounds of d̈ [m/s²]
 
-    def update(self, dynamics: Dynamics, velocity: FloatArray, time: int) -> Limit | None:
+    def update(self, dynamics: TaskDynamics, velocity: FloatArray, time: int) -> Limit | None:
         """Return the limits at this state and time [ns], or None; ``velocity`` (nj,) is changed by the QP [rad/s]."""
         self.rows = 0
         if time < self._time:  # simulation restarted
@@ -234,7 +234,7 @@ class SelfCollision:
         self.rows, self.lower = len(rows), np.array(lower)
         return Limit(np.array(rows), np.array(offsets), np.zeros((len(rows), 0)))
 
-    def _row(self, dynamics: Dynamics, k: int, distance: float) -> tuple[FloatArray, float]:
+    def _row(self, dynamics: TaskDynamics, k: int, distance: float) -> tuple[FloatArray, float]:
         """(nv,) nᵀ·(J_b − J_a), and nᵀ·(J̇_b − J̇_a)·v, of pair k."""
         (one, other), segment, direction = self._pairs[k], self._segment, self._directions[k]
         if abs(distance) > TOUCHING:  # else the last direction

@@ -11,49 +11,62 @@ from math import sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import Locomotion
+from valor.control.controller import Controller, JointCommand, JointTargets, Request
+from valor.control.kinematics import Kinematics, UpperBodyKinematics, natural_frequency
+from valor.control.motions import FEET
+from valor.control.state import RobotState
+from valor.control.steps import StepSource
+from valor.control.tuning_tables import Tuning, WholeBody
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
-from valor.robot.model import Model
-from valor.whole_body.balance.fall import BalanceWatch
 from valor.whole_body.balance.pelvis import PelvisReference
 from valor.whole_body.balance.reference import DcmLaw
+from valor.whole_body.balance.watch import BalanceWatch
+from valor.whole_body.command import QpStatus, WholeBodyCommand
 from valor.whole_body.constraints import FootContacts, JointLimits, SelfCollision, TorqueLimits
 from valor.whole_body.desired import DesiredAccelerations
-from valor.whole_body.model.dynamics import ModelJoints, UpperBodyKinematics
-from valor.whole_body.model.motion import FEET
-from valor.whole_body.motor_command import SetPoints
+from valor.whole_body.set_points import SetPoints
 from valor.whole_body.solver.elimination import UnsolvableError
 from valor.whole_body.solver.qp import Bounds, ContactForceQp, Objective
-from valor.whole_body.state import QpStatus, RobotState, UpperBodyReference, WholeBodyCommand
+from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import TASKS, WEIGHTS, TaskWeights, motions, nominal_weights
-from valor.whole_body.tuning_tables import Tuning, WholeBody
-from valor.whole_body.walking.footsteps import RecoverySteps, StepSource
+from valor.whole_body.walking.footsteps import RecoverySteps
 from valor.whole_body.walking.gait import Gait
 
 _log = logging.getLogger(__name__)
 
 
-class WholeBodyController:
+class WholeBodyController(Controller):
     """Standing and stepping, with set-points for waist and arms."""
 
-    def __init__(self, robot: RobotDescription, model: Model) -> None:
-        table = robot.read(Tuning).whole_body
-        joints = ModelJoints(model)
+    name = "whole_body"
+    states = frozenset(state for state in Locomotion if state.balancing)
+    takes_footsteps = True
+
+    def __init__(self, robot: RobotDescription, kinematics: Kinematics) -> None:
+        table, model, joints = robot.read(Tuning).whole_body, kinematics.model, kinematics.joints
+        motions_of_tasks = motions(model)
+        self._dynamics = TaskDynamics(kinematics, motions_of_tasks)
+        force = np.array([joint.control == "force" for joint in robot.tables.joints.values()])
+        self.joints = force | np.isin(np.arange(len(robot.joints)), joints.indices)
+        self._force = force
+        self._asked_gains: tuple[FloatArray, FloatArray] | None = None
         self._table = table
         self._joints = joints
         self._effort_limit = robot.effort_limit
         self._servo_damping = robot.servo_damping
         self._upper_body = UpperBodyKinematics(model)
         gravity = -float(model.mj.opt.gravity[2])
-        omega = DcmLaw.natural_frequency(self._upper_body.nominal_com_height, gravity)
+        omega = natural_frequency(self._upper_body.nominal_com_height, gravity)
         law = _law(table, omega, gravity)
         self.pelvis = PelvisReference(model, joints.group("left_leg", "right_leg"))  # commanded pelvis pose
         self._set_points = SetPoints(robot, joints)
-        tasks, motions_of_tasks = [task(robot) for task in TASKS], motions(model)
+        tasks = [task(robot) for task in TASKS]
         limits = JointLimits(robot, table, joints.places)
         self._desired = DesiredAccelerations(
             robot,
-            joints,
+            self._dynamics,
             tasks,
             motions=motions_of_tasks,
             limits=limits,
@@ -67,7 +80,6 @@ class WholeBodyController:
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * gravity
         self._swung: int | None = None  # swing foot in the objective
-        self.step_source: StepSource | None = None  # used from the start of a gait to its end; None: stands
         self.may_recover = True  # whether the robot may step automatically to keep its balance
         self.watch = BalanceWatch(robot)  # trigger of such steps, with its reason
         self._recovers = robot.read(Tuning).disturbance.step_when_standing
@@ -90,9 +102,9 @@ class WholeBodyController:
         self._weigh(None)
 
     @property
-    def stepping(self) -> bool:
-        """True if a gait is active, from the first transfer of weight to rest."""
-        return self._gait.active
+    def at_rest(self) -> bool:
+        """False if a gait is active, from the first transfer of weight to rest."""
+        return not self._gait.active
 
     @property
     def swinging(self) -> int | None:
@@ -113,8 +125,9 @@ class WholeBodyController:
         positions[foot], rotations[foot] = foothold.position, foothold.rotation
         return positions, rotations
 
-    def reset(self, state: RobotState) -> None:
+    def begin(self, state: RobotState, last: JointCommand | None = None) -> None:
         """Start to stand from ``state`` without a jump: references start there and blend to nominal."""
+        self._dynamics.evaluate()
         position = state.joint_position[self._joints.places].copy()
         self._upper_body.update(position)
         self.weights.reset()
@@ -126,23 +139,24 @@ class WholeBodyController:
         self._forces = state.foot_forces.copy()
 
     def catch(self, state: RobotState) -> None:
-        """After ``reset``: lower a foot in the air where the DCM needs it, then stand."""
+        """After ``begin``: lower a foot in the air where the DCM needs it, then stand."""
         foot = int(state.foot_forces.argmin())
         if not state.contacts[foot]:
             self._gait.catch(state, self._recovery, foot, state.dcm_in_odom - self._desired.shift)
 
-    def leave(self) -> None:
-        """End control of the legs: discard the gait and its source."""
+    def end(self) -> None:
+        """Give up control of the legs: discard the gait."""
         self._gait.stop()
-        self.step_source = None
 
-    def update(self, state: RobotState, reference: UpperBodyReference, dt: float) -> WholeBodyCommand:
-        """Compute one control period of ``dt`` [s], from the estimate and the reference of waist and arms."""
-        dynamics, desired, objective = state.dynamics, self._desired, self._objective
+    def update(self, state: RobotState, request: Request, dt: float) -> WholeBodyCommand:
+        """Compute one control period of ``dt`` [s]; steps are those of the request in which a gait starts."""
+        dynamics, desired, objective, reference = self._dynamics, self._desired, self._objective, request.joints
+        dynamics.evaluate()
+        self._set_gains(reference)
         self._upper_body.update(reference.position[self._joints.places])
         self.pelvis.advance(1e-9 * state.time, dt)
         changed = self.weights.advance()
-        self._step(state, dt)
+        self._step(state, request.steps, dt)
         if changed or self._gait.swinging != self._swung or reference.frozen is not self._frozen:
             self._frozen = reference.frozen
             self._weigh(self._gait.swinging)
@@ -159,19 +173,27 @@ class WholeBodyController:
         self._effort = command.effort
         return command
 
-    def _step(self, state: RobotState, dt: float) -> None:
+    def _step(self, state: RobotState, steps: StepSource | None, dt: float) -> None:
         gait, reference = self._gait, self._desired
         if self._recovers and self.may_recover and gait.resting and self.watch.update(state, reference.dcm):
             self.pelvis.go_home()
             gait.recover(state, self._recovery, state.dcm_in_odom - reference.shift, reference.centre_vrp)
         if gait.active:
             gait.update(state, state.dcm_in_odom - reference.shift, dt)
-        elif self.step_source is not None and self.pelvis.resting:
-            gait.start(state, self.step_source, reference.centre_dcm, reference.centre_vrp)
+        elif steps is not None and self.pelvis.resting:
+            gait.start(state, steps, reference.centre_dcm, reference.centre_vrp)
         left, right = gait.load.tolist()
         if (left, right) != self._load:
             self._load = (left, right)
             self._qp.limit_forces(self._contacts.upper(self._load, self._weight))
+
+    def _set_gains(self, asked: JointTargets) -> None:
+        """Those asked for; none for joints driven by force."""
+        before = self._asked_gains
+        if before is None or before[0] is not asked.stiffness or before[1] is not asked.damping:
+            self._asked_gains = asked.stiffness, asked.damping
+            self._stiffness = np.where(self._force, 0.0, asked.stiffness)
+            self._damping = np.where(self._force, 0.0, asked.damping)
 
     def _weigh(self, swinging: int | None) -> None:
         self._swung = swinging
@@ -181,7 +203,7 @@ class WholeBodyController:
     def _bounds(self, state: RobotState) -> Bounds:
         own, desired, n = self._joint_bounds, self._desired, self._joints.count
         own.lower[n:], own.upper[n:] = desired.lower, desired.upper
-        limit = self.collision.update(state.dynamics, desired.velocity, state.time)
+        limit = self.collision.update(self._dynamics, desired.velocity, state.time)
         if limit is None:
             return own
         lower = self.collision.lower
@@ -205,10 +227,12 @@ class WholeBodyController:
         outputs = self._set_points.advance(acceleration, torque, state.joint_position, dt)
         effort, joint_acceleration, position, velocity = outputs
         return WholeBodyCommand(
-            effort=effort,
-            acceleration=joint_acceleration,
             position=position,
             velocity=velocity,
+            effort=effort,
+            stiffness=self._stiffness,
+            damping=self._damping,
+            acceleration=joint_acceleration,
             dcm_reference_in_odom=self._desired.dcm,
             desired_foot_forces=self._forces,
             qp_status=status,

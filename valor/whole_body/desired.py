@@ -6,14 +6,16 @@ import casadi as ca
 import numpy as np
 
 from valor.common.kernel import Expression, Kernel, by_rows, pieces
+from valor.control.controller import JointTargets
+from valor.control.kinematics import UpperBodyKinematics
+from valor.control.motions import Motions
+from valor.control.state import RobotState
 from valor.robot.description import RobotDescription
 from valor.whole_body.balance.pelvis import PelvisReference
 from valor.whole_body.balance.reference import Begun, DcmLaw, Feet, Led, StandReference
 from valor.whole_body.constraints import JointLimits
-from valor.whole_body.model.dynamics import ModelJoints, UpperBodyKinematics
-from valor.whole_body.model.motion import Motions
-from valor.whole_body.motor_command import SetPoints
-from valor.whole_body.state import RobotState, UpperBodyReference
+from valor.whole_body.set_points import SetPoints
+from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import SWING, ChestOrientation, Period, Posture, Task, stance
 from valor.whole_body.walking.gait import Gait
 
@@ -27,7 +29,7 @@ class DesiredAccelerations:
     def __init__(
         self,
         robot: RobotDescription,
-        joints: ModelJoints,
+        dynamics: TaskDynamics,
         tasks: Sequence[Task],
         *,
         motions: Motions,
@@ -37,7 +39,9 @@ class DesiredAccelerations:
         pelvis: PelvisReference,
         set_points: SetPoints,
     ) -> None:
+        joints = dynamics.joints
         nj = joints.count
+        self._dynamics = dynamics
         self._tasks, self._motions, self._law, self._limits = tasks, motions, law, limits
         self._places, self._legs = joints.places, joints.group("left_leg", "right_leg").tolist()
         self._integrated = set_points.integrated
@@ -70,7 +74,7 @@ class DesiredAccelerations:
         self._evaluate = Kernel("desired", self._expressions, inputs, (self._next, *sent))
 
     def reset(self, state: RobotState) -> None:
-        """Start from ``state``; ``upper_body`` is at its posture."""
+        """Start from ``state``, at which the dynamics are; ``upper_body`` is at its posture."""
         pelvis = self._pelvis
         pelvis.reset()
         feet = Feet(ca.DM(state.sole_positions_in_odom), ca.DM(state.sole_rotations_in_odom.reshape(6, 3)))
@@ -81,16 +85,16 @@ class DesiredAccelerations:
             ca.DM(self._upper_body.com - self._upper_body.nominal_com),
             ca.DM(self._upper_body.chest),
         )
-        chest = state.dynamics.poses[self._motions.poses[ChestOrientation.name]].reshape(3, 3)
+        chest = self._dynamics.poses[self._motions.poses[ChestOrientation.name]].reshape(3, 3)
         com, rotation = ca.DM(state.com_in_odom), ca.DM(state.pelvis_rotation_in_odom)
         begun = self._reference.begin(feet, led, com, rotation, ca.DM(chest))
         self._memory[:] = np.array(ca.vertcat(_numbers(begun), ca.DM.zeros(3), stance(feet)))[:, 0]
         self.shift = self._memory[_SHIFT].copy()
         self._legs_start[:] = state.joint_position[self._places][self._legs]
 
-    def update(self, state: RobotState, gait: Gait, reference: UpperBodyReference, dt: float) -> None:
+    def update(self, state: RobotState, gait: Gait, reference: JointTargets, dt: float) -> None:
         """Compute one period of ``dt`` [s], from the estimate, the gait and the reference of waist and arms."""
-        dynamics, pelvis = state.dynamics, self._pelvis
+        dynamics, pelvis = self._dynamics, self._pelvis
         np.concatenate(
             (
                 state.sole_positions_in_odom.ravel(),

@@ -12,14 +12,15 @@ import numpy as np
 
 from valor.common.behaviors import BALANCING, REFLEX, STEPPING, WALKING, Behavior
 from valor.common.messages import Motor, Proprioceptor
+from valor.control.controller import JointTargets, Request
+from valor.control.estimation.estimator import FloatingBaseEstimator
+from valor.control.fall import FallDetector
+from valor.control.motor_command import MotorCommand
+from valor.control.watchdog import ProprioceptorWatchdog
 from valor.robot.description import RobotDescription
 from valor.robot.model import controller_model
-from valor.whole_body.balance.fall import FallDetector
+from valor.whole_body.command import QpStatus
 from valor.whole_body.controller import WholeBodyController
-from valor.whole_body.estimation.estimator import FloatingBaseEstimator
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import QpStatus, UpperBodyReference
-from valor.whole_body.watchdog import ProprioceptorWatchdog
 
 LONGEST = 5.0  # Longest duration of the reflex [s]
 SETTLED = 0.5  # Duration at rest after which it ends [s]
@@ -37,15 +38,17 @@ class BalanceReflex:
         self._period = robot.control_period
         self._most_faults = round(FAULTY / robot.control_period)
         self._estimator = FloatingBaseEstimator(robot, model)
-        self._controller = WholeBodyController(robot, model)
+        self._controller = WholeBodyController(robot, self._estimator.kinematics)
         self._detector = FallDetector(robot)
         self._command = MotorCommand(robot)
         self._watchdog = ProprioceptorWatchdog(n)
-        self._lifted = LIFTED * self._estimator.dynamics.mass * self._estimator.dynamics.gravity
+        self._lifted = LIFTED * self._estimator.kinematics.mass * self._estimator.kinematics.gravity
         self._zeros = np.zeros(n)
         self._sequence = self._faults = 0
         self._behavior: str = REFLEX
-        self._upper_body = self._zeros  # constant position of its joints [rad]
+        self._upper_body = JointTargets(  # at rest
+            self._zeros, self._zeros, self._zeros, robot.servo_stiffness, robot.servo_damping
+        )
         self._still = 0.0  # duration at rest [s]
         self.time = self.peak = 0.0  # duration [s]; largest distance of the DCM from its reference [m]
         self._found = False
@@ -66,7 +69,7 @@ class BalanceReflex:
         """Start; the upper body stays where the last Motor commanded it."""
         self._estimator.reset()
         self._detector.reset()
-        self._upper_body, self._sequence = last.position, last.sequence
+        self._upper_body.position, self._sequence = last.position, last.sequence
         self.time = self.peak = self._still = 0.0
         self._faults, self._behavior = 0, REFLEX
         self._found = self.done = False
@@ -96,21 +99,21 @@ class BalanceReflex:
         state, controller = self._estimator.update(proprioceptor), self._controller
         if not self._found:
             self._found = True
-            controller.reset(state)
+            controller.begin(state)
             controller.catch(state)
         if falling := self._detector.update(state, controller.footholds(state)):
             self._let_go(proprioceptor, falling)
             return
-        zeros, place = self._zeros, self._upper_body
-        command = controller.update(state, UpperBodyReference(place, zeros, zeros), self._period)
-        self._command.balance(command, place, zeros, zeros, 1.0)
+        targets, zeros = self._upper_body, self._zeros
+        command = controller.update(state, Request(targets), self._period)
+        self._command.balance(command, targets.position, zeros, zeros, 1.0)
         if command.qp_status is QpStatus.INFEASIBLE:
             self._repeat("the whole-body QP is infeasible")
             return
         self._faults = 0
         x, y, _ = (state.dcm_in_odom - command.dcm_reference_in_odom).tolist()
         self.peak = max(self.peak, hypot(x, y))
-        if controller.stepping:
+        if not controller.at_rest:
             self._still = 0.0
         elif hold:
             self._end("held, as is demanded")

@@ -14,10 +14,8 @@ import numpy as np
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, by_rows, clipped, pieces
-from valor.robot.description import RobotDescription
-from valor.robot.model import Indices, Model
-from valor.whole_body.balance.reference import DcmLaw, Feet, Reference
-from valor.whole_body.model.motion import (
+from valor.control.motions import (
+    COM,
     FEET,
     BodyTurn,
     CentreOfMassMotion,
@@ -27,7 +25,10 @@ from valor.whole_body.model.motion import (
     PelvisTurn,
     SoleMotions,
 )
-from valor.whole_body.tuning_tables import Tuning, WholeBody
+from valor.control.tuning_tables import Tuning, WholeBody
+from valor.robot.description import RobotDescription
+from valor.robot.model import Indices, Model
+from valor.whole_body.balance.reference import DcmLaw, Feet, Reference
 
 SWING = (3, 9, 6, 6)  # sizes of ``SwingPoint``'s fields
 CATCH_UP = 0.5  # Fraction of the velocity limit: largest correction towards a distant reference
@@ -75,7 +76,7 @@ class Task(ABC):
 class CentreOfMass(Task):
     """c̈ = ω²·(c − v) [m/s²], with v the virtual repellent point of the DCM law."""
 
-    name = weight = "com"
+    name = weight = COM
 
     @staticmethod
     def motion(model: Model) -> Motion:

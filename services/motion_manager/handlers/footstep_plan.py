@@ -18,11 +18,10 @@ from valor.common.behaviors import Locomotion
 from valor.common.errors import RefusalError
 from valor.common.messages import Footstep, FootstepPlanReply, FootstepPlanRequest
 from valor.common.topics import FOOTSTEP_PLAN
+from valor.control.steps import SolePose, Step
+from valor.control.tuning_tables import Tuning
 from valor.motion_manager.handlers.handler import RequestHandler, pose
 from valor.robot.footsteps import FEET, LEFT, RIGHT, UNIT, StepRule
-from valor.whole_body.tuning_tables import Tuning
-from valor.whole_body.walking.footsteps import Step
-from valor.whole_body.walking.swing import SolePose
 
 if TYPE_CHECKING:
     from valor.motion_manager.components import Components

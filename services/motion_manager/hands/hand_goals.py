@@ -20,6 +20,8 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import HandGoalStatus
+from valor.control.state import RobotState
+from valor.control.tuning_tables import HandMotion, Tuning
 from valor.motion_manager.hands.arm_kinematics import LESSER, ArmKinematics, Speeds
 from valor.motion_manager.hands.goal_stream import GoalStream, HandGoal
 from valor.motion_manager.hands.reach_search import ReachSearch, Start
@@ -28,8 +30,6 @@ from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 from valor.robot.tables import Hand, Side
-from valor.whole_body.state import RobotState
-from valor.whole_body.tuning_tables import HandMotion, Tuning
 
 SIDES: tuple[Side, Side] = ("left", "right")
 GRACE = 0.05  # delay from a goal to its first motion, for clients to stop their set-points [s]

@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
+from valor.control.kinematics import ModelJoints
+from valor.control.state import RobotState
 from valor.motion_manager.hands.hand_goals import SIDES
 from valor.motion_manager.joints.servos import ServoCompensation
 from valor.robot.model import Model
 from valor.robot.tables import Hands
-from valor.whole_body.model.dynamics import ModelJoints
-from valor.whole_body.state import RobotState
 
 LOOK = 0.02  # period of updates [s]
 SMOOTHING = 0.3  # time constant of a load [s]
@@ -90,7 +90,7 @@ class HandLoads:
             return
         fraction = min(1.0, min(now - self._updated, 2.0 * LOOK) / SMOOTHING)
         self._updated = now
-        self._data.qpos[3:] = state.dynamics.configuration
+        self._data.qpos[3:] = state.kinematics.configuration
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         wrenches = (proprioceptor.left_hand_wrench, proprioceptor.right_hand_wrench)

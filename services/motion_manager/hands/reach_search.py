@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.control.kinematics import ModelJoints
 from valor.motion_manager.hands.arm_kinematics import ArmKinematics
 from valor.robot.model import Model
-from valor.whole_body.model.dynamics import ModelJoints
 
 AT_ONCE = 4  # kernel calls in a period
 STRIDE = 0.04  # time step of the trial [s]

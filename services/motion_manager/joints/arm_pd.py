@@ -13,9 +13,10 @@ that. A joint that does not move gets a constant velocity.
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.control.motor_command import MotorCommand
+from valor.control.state import RobotState
 from valor.robot.description import RobotDescription
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import RobotState, WholeBodyCommand
+from valor.whole_body.command import WholeBodyCommand
 
 
 class ArmPdControl:

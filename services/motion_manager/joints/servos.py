@@ -23,14 +23,15 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel, clipped
+from valor.control.motor_command import MotorCommand
+from valor.control.state import RobotState
+from valor.control.tuning_tables import Tuning
 from valor.robot import arm_calibration
 from valor.robot.arm_calibration import JointCalibration
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
 from valor.robot.model import Indices
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import RobotState, WholeBodyCommand
-from valor.whole_body.tuning_tables import Tuning
+from valor.whole_body.command import WholeBodyCommand
 
 CHANGE_TIME = 0.5  # time for a change by the nominal value [s]
 PERIOD = 0.0079  # period of updates, shorter than that of the arms' set-points [s]
@@ -84,18 +85,17 @@ class JointGains:
         stiffness_goal[joints], damping_goal[joints] = stiffness, damping
         self._requested = (stiffness_goal, damping_goal)
 
-    def advance(self) -> bool:
-        """Advance one control period; returns whether the gains changed."""
+    def advance(self) -> None:
+        """Advance one control period; the arrays are new ones when the gains change."""
         present = (self.stiffness, self.damping)
         if present[0] is self._requested[0] and present[1] is self._requested[1]:
-            return False  # nearly always
+            return  # nearly always
         if all(now is asked or np.array_equal(now, asked) for now, asked in zip(present, self._requested, strict=True)):
-            return False
+            return
         self.stiffness, self.damping = (
             np.clip(asked, now - step, now + step)
             for asked, now, step in zip(self._requested, present, self._steps, strict=True)
         )
-        return True
 
 
 class Drives:

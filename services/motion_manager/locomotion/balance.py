@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from valor.common.behaviors import Behavior, Locomotion, Manipulation
+from valor.control.controller import JointTargets, Request
+from valor.control.state import RobotState
+from valor.control.steps import StepSource
 from valor.motion_manager.locomotion.driver import Driver
-from valor.whole_body.state import QpStatus, RobotState, UpperBodyReference, WholeBodyCommand
-from valor.whole_body.walking.footsteps import StepSource
+from valor.whole_body.command import QpStatus, WholeBodyCommand
 
 if TYPE_CHECKING:
     from valor.motion_manager.components import Components
@@ -38,9 +40,8 @@ class BalanceControl:
         """Start to balance."""
         components = self._components
         components.detector.reset()
-        self.controller.reset(state)
+        self.controller.begin(state)
         components.gains.reset()
-        components.command.set_gains(components.gains.stiffness, components.gains.damping)
         components.servos.reset()
         self._failures = 0
         self._blend_start = now
@@ -50,12 +51,12 @@ class BalanceControl:
         components = self._components
         motors, reference = components.command, components.reference
         self._choose_steps(source, now)
-        if components.gains.advance():
-            motors.set_gains(components.gains.stiffness, components.gains.damping)
+        gains = components.gains
+        gains.advance()
         place, rate, frozen = reference.position, reference.velocity, reference.frozen
-        command = self.command = self.controller.update(
-            state, UpperBodyReference(place, rate, reference.acceleration, frozen), dt
-        )
+        targets = JointTargets(place, rate, reference.acceleration, gains.stiffness, gains.damping, frozen)
+        request = Request(targets, self._fsm.locomotion, components.velocity_steps.wanted, source)
+        command = self.command = self.controller.update(state, request, dt)
         fraction = min(1.0, (now - self._blend_start) / BLEND)
         offsets = components.servos.offsets(state, command, dt, complete=fraction >= 1.0)
         if components.arm_pd is not None:
@@ -70,9 +71,8 @@ class BalanceControl:
         """Change the step source once the robot is at rest; change to Stand at the end of a plan."""
         steps = self._components.step_queue
         self._components.velocity_steps.advance(now)
-        if self.controller.stepping:
+        if not self.controller.at_rest:
             return
-        self.controller.step_source = source
         if steps.take_finished() and source is steps:
             self._fsm.go(Behavior.STAND, steps.reason or "the footstep plan is done")
 

@@ -7,8 +7,8 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING, ClassVar
 
 from valor.common.behaviors import Locomotion
+from valor.control.state import RobotState
 from valor.motion_manager.discovery import classes
-from valor.whole_body.state import RobotState
 
 if TYPE_CHECKING:
     from valor.motion_manager.components import Components

@@ -11,13 +11,13 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior, Locomotion
+from valor.control.motor_command import MotorCommand
+from valor.control.state import RobotState
 from valor.motion_manager.locomotion.driver import Driver
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import FILE, Balance, KeyPose, load
 from valor.robot.posture_move import PostureMove
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import RobotState
 
 AT_REST = 0.5  # angular velocity of the pelvis of a robot at rest, at most [rad/s]
 COMING_TO_REST = 2.0  # timeout for rest after a pose's hold [s]
@@ -156,7 +156,7 @@ class GetUpDriver(Driver):
     states = (Locomotion.GET_UP,)
 
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        self.components.controller.leave()
+        self.components.controller.end()
         self.components.get_up.begin(state, now)
 
     def proceed(self, state: RobotState, now: float) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Locomotion
+from valor.control.motor_command import MotorCommand
+from valor.control.state import RobotState
 from valor.motion_manager.joints.joint_reference import JointReference
 from valor.motion_manager.locomotion.driver import Driver, Release
 from valor.robot.description import RobotDescription
 from valor.robot.posture_move import PostureMove
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.state import RobotState
 
 SETTLING = 0.3  # after a move, until the posture counts as reached [s]
 AT_REST = 0.3  # speed below which a joint has settled [rad/s]
@@ -96,7 +96,7 @@ class LimpDriver(Driver):
     release = Release.LIMP
 
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        self.components.controller.leave()
+        self.components.controller.end()
 
     def drive(self, state: RobotState, now: float, dt: float) -> None:
         self.components.command.limp(state.joint_position)
@@ -109,7 +109,7 @@ class HoldDriver(Driver):
     release = Release.HELD
 
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        self.components.controller.leave()
+        self.components.controller.end()
         posture = self.components.posture
         if before is None:
             posture.take_up(state.joint_position, state.joint_effort)

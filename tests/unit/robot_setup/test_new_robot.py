@@ -14,6 +14,7 @@ from harness.generated_robot import Build, mjcf
 from harness.places import ROBOTS
 from tests.unit.robot_setup.builds import BUILDS, made
 from valor.common.errors import ConfigurationError
+from valor.control.tuning_tables import Estimator, Tuning
 from valor.robot.checks.folder import examine
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
@@ -22,7 +23,6 @@ from valor.robot_setup.new import new_robot
 from valor.robot_setup.robot_yaml import VELOCITY_LAG
 from valor.self_test.acceptance import SelfTest
 from valor.valorctl.demos import demonstration
-from valor.whole_body.tuning_tables import Estimator, Tuning
 
 
 @pytest.mark.parametrize("name", sorted(BUILDS))

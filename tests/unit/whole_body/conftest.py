@@ -10,9 +10,10 @@ import pytest
 from harness.closed_loop import load_robot
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.control.kinematics import Kinematics
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model
-from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import motions
 
 
@@ -34,12 +35,14 @@ class RandomState:
     qvel: FloatArray
     data: mujoco.MjData
 
-    def evaluate(self, model: Model) -> Dynamics:
-        """The Dynamics at this state, which never sees where the pelvis is nor its linear velocity."""
-        dynamics = Dynamics(model, motions(model))
-        dynamics.update(
+    def evaluate(self, model: Model) -> TaskDynamics:
+        """The dynamics at this state, which never sees where the pelvis is nor its linear velocity."""
+        kinematics = Kinematics(model)
+        dynamics = TaskDynamics(kinematics, motions(model))
+        kinematics.update(
             rotation.quaternion(self.qpos[3:7]), self.qvel[3:6].copy(), self.qpos[7:].copy(), self.qvel[6:].copy()
         )
+        dynamics.evaluate()
         return dynamics
 
 

@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valor.common.kernel import Expression, Kernel
+from valor.control.kinematics import natural_frequency
 from valor.whole_body.balance.reference import DcmLaw, followed, minimum_jerk
 
-OMEGA = DcmLaw.natural_frequency(0.86, 9.81)
+OMEGA = natural_frequency(0.86, 9.81)
 STEP = 5e-4  # of the integration [s]
 
 

@@ -8,15 +8,13 @@ from harness.closed_loop import ClosedLoop
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.messages import Proprioceptor
+from valor.control.estimation.estimator import FloatingBaseEstimator
+from valor.control.estimation.filters import LARGEST_LEVEL, Attitude
+from valor.control.kinematics import Kinematics
+from valor.control.state import RobotState
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model, controller_model
-from valor.whole_body.estimation.estimator import FloatingBaseEstimator
-from valor.whole_body.estimation.filters import LARGEST_LEVEL, Attitude
-from valor.whole_body.model.dynamics import Dynamics
-from valor.whole_body.model.motion import FEET as FEET_MOTION
-from valor.whole_body.state import RobotState
-from valor.whole_body.tasks import motions
-from valor.whole_body.tuning_tables import Tuning
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 
@@ -76,7 +74,7 @@ def test_forces_contacts_and_centre_of_pressure(robot: RobotDescription) -> None
     loop = ClosedLoop(robot, "ideal")
     loop.run(1.0)
     state = loop.state
-    weight = loop.estimator.dynamics.mass * 9.81
+    weight = loop.estimator.kinematics.mass * 9.81
     assert state.contacts.tolist() == [1, 1] and state.foot_forces.sum() == pytest.approx(weight, rel=0.02)
     np.testing.assert_allclose(state.cop_in_odom, state.com_in_odom[:2], atol=0.005)
     np.testing.assert_allclose(state.dcm_in_odom, state.com_in_odom, atol=0.005)
@@ -100,7 +98,7 @@ def measured(robot: RobotDescription) -> Proprioceptor:
 
 def test_contact_has_hysteresis(robot: RobotDescription, model: Model, measured: Proprioceptor) -> None:
     estimator = FloatingBaseEstimator(robot, model)
-    weight = Dynamics(model, motions(model)).mass * 9.81
+    weight = Kinematics(model).mass * 9.81
     table = robot.read(Tuning).estimator
     between = 0.5 * (table.contact_on + table.contact_off) * weight
     contacts = []
@@ -118,7 +116,7 @@ def test_the_covariance_stays_symmetric_and_positive(
 ) -> None:
     """After each of 4000 periods of irregular length, in which feet land and leave."""
     estimator, rng, time = FloatingBaseEstimator(robot, model), np.random.default_rng(0), 0
-    weight = Dynamics(model, motions(model)).mass * 9.81
+    weight = Kinematics(model).mass * 9.81
     for k in range(4000):
         time += int(rng.integers(1, 8)) * 1_000_000
         left, right = ((0.5, 0.5), (1.0, 0.0), (0.5, 0.5), (0.0, 1.0), (0.0, 0.0))[k // 150 % 5]
@@ -257,7 +255,7 @@ def test_walking_it_estimates_where_it_is_and_how_well(robot: RobotDescription, 
     loop = ClosedLoop(robot, "hardware", seed)
     loop.settle(0.3)
     loop.run(2.0)
-    source = loop.controller.step_source = VelocitySteps(robot.tables.walking)
+    source = loop.request.steps = VelocitySteps(robot.tables.walking)
     start, believed = loop.plant.data.qpos[:3].copy(), loop.state.pelvis_position_in_odom
     before = loop.state.pelvis_position_variance
     tilts = []
@@ -293,7 +291,7 @@ def test_a_foot_that_rolls_over_its_heel_moves_nothing(
             msgspec.structs.replace(measured, time=k * 2_000_000, left_foot_wrench=left, right_foot_wrench=right)
         )
     start = place = state.sole_positions_in_odom[0] + state.sole_rotations_in_odom[0] @ (heel, 0.0, 0.0)
-    posture, kinematics = measured.joint_position.copy(), Dynamics(model, motions(model))
+    posture, kinematics = measured.joint_position.copy(), Kinematics(model)
     places = kinematics.joints.places
     fixed = state.pelvis_position_in_odom
     for k in range(100, 600):
@@ -306,7 +304,7 @@ def test_a_foot_that_rolls_over_its_heel_moves_nothing(
             here = kinematics.sole_position[0] + kinematics.sole_rotation[0] @ (heel, 0.0, 0.0) + fixed
             pitch = -np.arcsin(kinematics.sole_rotation[0][2, 0])
             error = np.array((*(start - here)[[0, 2]], angle - pitch))
-            rows = kinematics.jacobian[kinematics.rows[FEET_MOTION]][:6, 6:]
+            rows = kinematics.sole_jacobian[:6, 6:]
             lever = kinematics.sole_rotation[0] @ (heel, 0.0, 0.0)
             linear = rows[:3] + np.cross(rows[3:].T, lever).T
             columns = [j - robot.index["l_hip_yaw"] for j in (hip, knee, ankle)]

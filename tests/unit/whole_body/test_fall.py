@@ -11,11 +11,11 @@ from scipy.spatial import ConvexHull
 from harness.closed_loop import ClosedLoop
 from harness.waiting import some
 from valor.common import rotation
+from valor.control.fall import FallDetector, corners_on_ground, inner_radius, sole_corners, surely_within
+from valor.control.state import RobotState
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.soles import Point, convex_hull, distance_outside
-from valor.whole_body.balance.fall import FallDetector, corners_on_ground, inner_radius, sole_corners, surely_within
-from valor.whole_body.state import RobotState
-from valor.whole_body.tuning_tables import Tuning
 
 MILLISECOND = 1_000_000  # [ns]
 coordinates = st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))

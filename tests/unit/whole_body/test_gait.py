@@ -7,22 +7,23 @@ import numpy as np
 import pytest
 
 from harness.closed_loop import ClosedLoop, load_robot
+from valor.control.steps import Step
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT
 from valor.simulation import worlds
 from valor.simulation.worlds.world import ground
-from valor.whole_body.walking.footsteps import Step, StepQueue, level_pose
+from valor.whole_body.walking.footsteps import StepQueue, level_pose
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 
 def walk(loop: ClosedLoop, velocity: tuple[float, float, float], seconds: float) -> tuple[np.ndarray, float]:
     """Walk, stop and come to rest; the DCM's errors (k, 3) [m], and the smallest knee angle [rad]."""
     source = VelocitySteps(loop.robot.tables.walking)
-    loop.controller.step_source = source
+    loop.request.steps = source
     knees = [loop.robot.index[name] for name in ("l_knee_pitch", "r_knee_pitch")]
     errors, knee = [], np.inf
     until = loop.time + seconds
-    while loop.fall is None and (loop.time < until or loop.controller.stepping):
+    while loop.fall is None and (loop.time < until or not loop.controller.at_rest):
         if loop.time < until:
             source.command(np.array(velocity), loop.time)
         source.advance(loop.time)
@@ -66,7 +67,7 @@ def test_climbs_stairs_step_over_step(robot: RobotDescription) -> None:
             for i, ((x, z), foot) in enumerate(zip(footholds, (LEFT, RIGHT) * 3, strict=True))
         ]
     )
-    loop.controller.step_source = queue
+    loop.request.steps = queue
     knees = [loop.robot.index[name] for name in ("l_knee_pitch", "r_knee_pitch")]
     before, errors, knee = loop.plant.data.qpos[2], [], np.inf
     while queue.running and loop.fall is None:
@@ -130,9 +131,9 @@ def test_standing_goes_over_into_stepping_without_a_jump(robot: RobotDescription
     loop.run(2.5)
     effort, dcm = loop.command.effort, loop.command.dcm_reference_in_odom
     source = VelocitySteps(robot.tables.walking)
-    loop.controller.step_source = source
+    loop.request.steps = source
     source.command(np.array([0.3, 0.0, 0.0]), loop.time)
     loop.run(0.01)
-    assert loop.controller.stepping
+    assert not loop.controller.at_rest
     np.testing.assert_allclose(loop.command.dcm_reference_in_odom, dcm, atol=1e-3)
     assert np.abs(loop.command.effort - effort).max() < 6.0  # [N·m]

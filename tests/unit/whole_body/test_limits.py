@@ -16,13 +16,15 @@ from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.errors import ConfigurationError
 from valor.common.kernel import Kernel
+from valor.control.kinematics import Kinematics
+from valor.control.steps import Step
+from valor.control.tuning_tables import Tuning
 from valor.robot.footsteps import LEFT
 from valor.robot.model import Model, controller_model
 from valor.whole_body.constraints import JointLimit, JointLimits, SelfCollision, Solved, TorqueLimits
-from valor.whole_body.model.dynamics import Dynamics
+from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import motions
-from valor.whole_body.tuning_tables import Tuning
-from valor.whole_body.walking.footsteps import Step, StepQueue, level_pose
+from valor.whole_body.walking.footsteps import StepQueue, level_pose
 
 ROBOT = load_robot()
 LIMITS = JointLimits(ROBOT, ROBOT.read(Tuning).whole_body, slice(0, 27))
@@ -106,9 +108,12 @@ ARM = {"l_shoulder_roll": -0.3, "l_shoulder_yaw": -1.5, "l_elbow_pitch": 0.3, "l
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 
 
-def evaluate(dynamics: Dynamics, position: FloatArray, velocity: FloatArray) -> Dynamics:
+def evaluate(model: Model, position: FloatArray, velocity: FloatArray) -> TaskDynamics:
     """At a posture, upright and without turning."""
-    dynamics.update(rotation.quaternion(UPRIGHT), np.zeros(3), position, velocity)
+    kinematics = Kinematics(model)
+    dynamics = TaskDynamics(kinematics, motions(model))
+    kinematics.update(rotation.quaternion(UPRIGHT), np.zeros(3), position, velocity)
+    dynamics.evaluate()
     return dynamics
 
 
@@ -117,18 +122,18 @@ def test_a_row_is_how_the_distance_changes(pair: tuple[str, str]) -> None:
     """Between capsules: ḋ is row·v, and from it comes the barrier."""
     robot = load_robot(self_collision={"pairs": [pair], "near": 0.45, "distance": 0.0})
     model = controller_model(robot)
-    dynamics, collision = Dynamics(model, motions(model)), SelfCollision(model)
+    collision = SelfCollision(model)
     one, other = model.shape(pair[0]), model.shape(pair[1])
     rng, step, segment = np.random.default_rng(4), 1e-4, np.zeros(6)
-    posture = robot.nominal_posture[dynamics.joints.places]
+    posture = robot.nominal_posture[Kinematics(model).joints.places]
     for k in range(8):
         position = posture + rng.uniform(-0.15, 0.15, posture.size)
         velocity = rng.uniform(-0.5, 0.5, posture.size)
         distances = [
-            evaluate(dynamics, position + i * step * velocity, velocity).nearest(one, other, 1.0, segment)
+            evaluate(model, position + i * step * velocity, velocity).nearest(one, other, 1.0, segment)
             for i in (-1, 0, 1)
         ]
-        limit = collision.update(evaluate(dynamics, position, velocity), velocity, k)
+        limit = collision.update(evaluate(model, position, velocity), velocity, k)
         assert limit is not None
         assert limit.rows[0, :6] == pytest.approx(0.0, abs=1e-6)  # the pelvis carries both
         rate = (distances[2] - distances[0]) / (2.0 * step)
@@ -179,7 +184,7 @@ def test_a_foot_sent_onto_the_other_comes_down_beside_it(apart: bool) -> None:
     loop.settle(0.3)
     loop.run(0.6)
     x, y, z = (loop.state.sole_positions_in_odom[1] + (0.0, 0.08, 0.0)).tolist()
-    queue = loop.controller.step_source = StepQueue()
+    queue = loop.request.steps = StepQueue()
     queue.begin([Step(0, LEFT, level_pose(x, y, z, 0.0), 0.05, 0.8, 0.6)])
     model, segment, least = loop.plant.model, np.zeros(6), np.inf
     left, right = model.shape("l_foot"), model.shape("r_foot")

@@ -17,6 +17,7 @@ from valor.common.behaviors import Behavior
 from valor.common.kernel import roll_pitch_yaw
 from valor.common.messages import PelvisSetpoint
 from valor.common.topics import PELVIS
+from valor.control.kinematics import ModelJoints
 from valor.motion_manager.behavior_fsm import BehaviorFsm
 from valor.motion_manager.handlers.handler import RejectionCounter
 from valor.motion_manager.handlers.motion import PelvisHandler
@@ -24,7 +25,6 @@ from valor.robot.commanded_limits import SPEED_MARGIN
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 from valor.whole_body.balance.pelvis import LegKinematics, PelvisReference
-from valor.whole_body.model.dynamics import ModelJoints
 
 
 @pytest.fixture

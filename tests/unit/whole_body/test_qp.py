@@ -9,23 +9,23 @@ import pytest
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common.arrays import FloatArray
 from valor.common.rotation import IDENTITY
+from valor.control.motions import FEET
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
+from valor.whole_body.command import QpStatus
 from valor.whole_body.constraints import FootContacts, JointLimits, Limit, TorqueLimits, contact_points, sole_generators
-from valor.whole_body.model.dynamics import Dynamics
-from valor.whole_body.model.motion import FEET
 from valor.whole_body.solver.elimination import FORCE_REGULARIZATION, UnsolvableError
 from valor.whole_body.solver.qp import Bounds, ContactForceQp, Objective, Solution
-from valor.whole_body.state import QpStatus
+from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import TASKS, WEIGHTS, motions, nominal_weights
-from valor.whole_body.tuning_tables import Tuning
 
 EQUALITY = 5  # DAQP's sense
 
 
 @dataclass
 class Problem:
-    dynamics: Dynamics
+    dynamics: TaskDynamics
     objective: Objective
     contacts: FootContacts
     damping: FloatArray
@@ -170,7 +170,8 @@ def test_while_the_feet_push_everywhere_the_optimum_needs_no_solver(
     """At rest in the nominal posture, wanting to stay so: six equations give what the solver gives."""
     standing = problem(robot, model, next(iter(random_states(model, 1, seed=0))), 0)
     dynamics, n = standing.dynamics, len(standing.damping)
-    dynamics.update(IDENTITY, np.zeros(3), robot.nominal_posture[dynamics.joints.places], np.zeros(n))
+    dynamics.kinematics.update(IDENTITY, np.zeros(3), robot.nominal_posture[dynamics.joints.places], np.zeros(n))
+    dynamics.evaluate()
     standing.objective.update(dynamics, np.zeros(dynamics.drift.size), np.zeros(n))
     standing.contacts.update(dynamics.jacobian[dynamics.rows[FEET]], dynamics.sole_rotation)
     acceleration, rho, _ = standing.solve_in_full(standing.unbounded())

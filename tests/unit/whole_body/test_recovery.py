@@ -10,11 +10,11 @@ import pytest
 
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.common.behaviors import Behavior
+from valor.control.motor_command import MotorCommand
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT
-from valor.whole_body.balance.fall import BalanceWatch
-from valor.whole_body.motor_command import MotorCommand
-from valor.whole_body.tuning_tables import Tuning
+from valor.whole_body.balance.watch import BalanceWatch
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 DIRECTIONS = {"forward": (1.0, 0.0, 0.0), "back": (-1.0, 0.0, 0.0), "right": (0.0, -1.0, 0.0)}
@@ -54,7 +54,7 @@ def test_a_push_is_answered_by_steps_and_the_robot_stands_again(direction: str, 
     assert loop.fall is None
     assert knee > 0.25  # [rad]
     assert stepped == (direction != "right")  # sideways the stance is wide enough
-    assert not loop.controller.stepping and loop.command.qp_failures == 0
+    assert loop.controller.at_rest and loop.command.qp_failures == 0
     apart = loop.state.sole_positions_in_odom[LEFT] - loop.state.sole_positions_in_odom[RIGHT]
     np.testing.assert_allclose(apart, (0.0, robot.tables.walking.step_width, 0.0), atol=0.03)
 
@@ -76,7 +76,7 @@ def test_pushes_one_after_another_are_survived_with_feet_fixed() -> None:
 def test_a_push_while_walking_is_survived() -> None:
     robot = load_robot()
     loop = standing(robot, 6)
-    source = loop.controller.step_source = VelocitySteps(robot.tables.walking)
+    source = loop.request.steps = VelocitySteps(robot.tables.walking)
     pushes = {2.6: (0.0, 15.0, 0.0), 4.2: (-15.0, 0.0, 0.0)}  # at any time of the step
     until = loop.time + 6.0
     while loop.fall is None and loop.time < until:

@@ -29,9 +29,9 @@ def test_it_stands_reaches_walks_and_stops(name: str) -> None:
     error = np.abs(loop.plant.joint_position[arm] - loop.reference.position[arm])
     assert error.max() < 0.05, loop.robot.joints[arm[np.argmax(error)]]  # what trajectory controllers allow a goal
     assert np.abs(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom).max() < 0.02
-    source = loop.controller.step_source = VelocitySteps(loop.robot.tables.walking)
+    source = loop.request.steps = VelocitySteps(loop.robot.tables.walking)
     start, began, errors = loop.plant.data.qpos[:3].copy(), loop.time, []
-    while loop.fall is None and (loop.time < began + DURATION or loop.controller.stepping):
+    while loop.fall is None and (loop.time < began + DURATION or not loop.controller.at_rest):
         if loop.time < began + DURATION:
             source.command(np.array((SPEED, 0.0, 0.0)), loop.time)
         source.advance(loop.time)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from harness.closed_loop import ClosedLoop, load_robot
 from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common import rotation
+from valor.control.state import RobotState
 from valor.robot.model import Model
 from valor.whole_body.balance.reference import Feet
-from valor.whole_body.state import RobotState
 from valor.whole_body.tasks import hold, stance
 from valor.whole_body.walking.velocity_steps import FOOTHOLDS, STEEPEST, GroundPlane
 

@@ -12,7 +12,7 @@ from valor.common.table import checked, plain
 from valor.robot.description import RobotDescription
 from valor.robot.tables import RobotTables
 from valor.whole_body.balance.reference import minimum_jerk
-from valor.whole_body.state import QpStatus
+from valor.whole_body.command import QpStatus
 
 pytestmark = pytest.mark.portable
 
@@ -187,10 +187,10 @@ def test_without_a_solution_the_last_torques_go_on_with_damping(robot: RobotDesc
     loop = ClosedLoop(robot, "ideal")
     loop.run(0.3)
     last, held = loop.command, loop.command.position.copy()
-    loop.state.dynamics.bias[7] = np.nan
-    failed = loop.controller.update(loop.state, loop.reference, robot.control_period)
+    loop.state.kinematics.mass_matrix[7, 7] = np.nan
+    failed = loop.controller.update(loop.state, loop.request, robot.control_period)
     assert failed.qp_status is QpStatus.INFEASIBLE and failed.qp_failures == 1
-    places = loop.estimator.dynamics.joints.places
+    places = loop.estimator.kinematics.joints.places
     damped = (last.effort - robot.servo_damping * loop.state.joint_velocity)[places]
     np.testing.assert_allclose(failed.effort[places], damped, atol=1e-9)
     assert not failed.acceleration.any()

@@ -11,9 +11,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from harness.closed_loop import load_robot
+from valor.control.steps import Step
+from valor.control.tuning_tables import Tuning
 from valor.robot.footsteps import LEFT, StepRule
-from valor.whole_body.tuning_tables import Tuning
-from valor.whole_body.walking.footsteps import Step, level_pose
+from valor.whole_body.walking.footsteps import level_pose
 from valor.whole_body.walking.step_guard import Adjustment, Situation, StepAdjuster, StepGuard
 
 OMEGA = 3.377

@@ -12,14 +12,15 @@ from tests.unit.whole_body.conftest import RandomState, random_states
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression
+from valor.control.kinematics import Kinematics
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 from valor.whole_body import tasks
 from valor.whole_body.balance.reference import DcmLaw, Feet, Reference
-from valor.whole_body.model.dynamics import Dynamics
 from valor.whole_body.solver.qp import REGULARIZATION, Objective
+from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import CATCH_UP, GROUPS, TASKS, WEIGHTS, Period, Posture, Task, motions, sole_rows, stance
-from valor.whole_body.tuning_tables import Tuning
 
 STEP = 1e-6  # [s]
 RNG = np.random.default_rng(5)
@@ -109,13 +110,13 @@ def test_rows_and_weights_have_the_order_of_the_interface(robot: RobotDescriptio
 
 # --- what they ask for ------------------------------------------------------------------------------------------------
 def period(
-    robot: RobotDescription, dynamics: Dynamics, *, steps: bool, swinging: int | None
+    robot: RobotDescription, dynamics: TaskDynamics, *, steps: bool, swinging: int | None
 ) -> tuple[Period, FloatArray]:
     """A period with random references; and (24,) where the swinging foot shall be."""
     turned = [ca.DM(rotation.from_rotation_vector(RNG.normal(scale=0.3, size=3))) for _ in range(2)]
     vectors = [ca.DM(RNG.normal(scale=0.1, size=3)) for _ in range(6)]
     reference = Reference(*vectors[:5], ca.DM(RNG.normal(size=3)), ca.DM(0.5), *turned)  # type: ignore[call-arg]
-    feet = Feet(ca.DM(dynamics.sole_position), ca.DM(dynamics.sole_rotation.reshape(6, 3)))
+    feet = Feet(ca.DM(dynamics.kinematics.sole_position), ca.DM(dynamics.sole_rotation.reshape(6, 3)))
     law = DcmLaw(3.5, robot.read(Tuning).whole_body.dcm_gain, 1.0, 0.1, 0.01)
     swing = np.concatenate((RNG.normal(size=3), np.eye(3).ravel(), RNG.normal(size=12)))
     kept = stance(feet) + ca.DM((0.01, -0.02, 0.03))
@@ -124,7 +125,7 @@ def period(
 
 
 def asked(
-    task: type[Task], robot: RobotDescription, model: Model, now: Period, dynamics: Dynamics
+    task: type[Task], robot: RobotDescription, model: Model, now: Period, dynamics: TaskDynamics
 ) -> tuple[FloatArray, FloatArray]:
     """What a task asks for, and the velocity that it was given."""
     of_all = motions(model)
@@ -174,7 +175,7 @@ def test_feet_stay_or_follow_their_path(
         expected = -damping * velocity[rows]
         if foot == swinging:
             turned = rotation.error(np.eye(3), dynamics.sole_rotation[foot])
-            away = np.concatenate((swing[:3] - dynamics.sole_position[foot], turned))
+            away = np.concatenate((swing[:3] - dynamics.kinematics.sole_position[foot], turned))
             expected = (
                 swing[18:] + walking.foot_stiffness * away + walking.foot_damping * (swing[12:18] - velocity[rows])
             )
@@ -183,7 +184,7 @@ def test_feet_stay_or_follow_their_path(
 
 def test_posture_is_followed_no_faster_than_allowed(robot: RobotDescription, model: Model) -> None:
     """Near its reference a joint is led by k_p and k_d; far from it, it makes up for half of its velocity limit."""
-    table, joints = robot.read(Tuning).whole_body, Dynamics(model, motions(model)).joints
+    table, joints = robot.read(Tuning).whole_body, Kinematics(model).joints
     legs = joints.group("left_leg", "right_leg").tolist()
     posture = Posture(robot, joints.places, legs)
     n, arm = joints.count, int(joints.group("right_arm")[0])

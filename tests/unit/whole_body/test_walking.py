@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from valor.common import rotation
+from valor.control.steps import SolePose, Step
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import StepRule
 from valor.whole_body.walking.dcm_plan import DcmPlan
-from valor.whole_body.walking.footsteps import Step, level_pose
-from valor.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
+from valor.whole_body.walking.footsteps import level_pose
+from valor.whole_body.walking.swing import SwingPoint, SwingTrajectory
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 OMEGA = 3.377

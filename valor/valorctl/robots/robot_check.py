@@ -14,8 +14,8 @@ from typing import IO, TYPE_CHECKING
 
 import msgspec
 
+from valor.control.tuning_tables import margins_fit_the_soles
 from valor.self_test.results import PROFILES, AcceptanceResult, Started
-from valor.whole_body.tuning_tables import margins_fit_the_soles
 
 if TYPE_CHECKING:
     from valor.robot.checks.folder import Findings

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.control.kinematics import ModelJoints
+from valor.control.state import RobotState
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.limiter import Limiter
 from valor.robot.model import Model
-from valor.whole_body.model.dynamics import ModelJoints
-from valor.whole_body.state import RobotState
 
 Places = npt.NDArray[np.intp]
 

@@ -8,7 +8,7 @@ displacement.
 """
 
 from dataclasses import dataclass
-from math import inf, sqrt
+from math import inf
 from typing import NamedTuple
 
 import casadi as ca
@@ -16,8 +16,8 @@ import numpy as np
 
 from valor.common import rotation
 from valor.common.kernel import Expression, clipped, turned
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
-from valor.whole_body.tuning_tables import Tuning
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +39,6 @@ class DcmLaw:
     push_gain: float = 0.0  # added to k for the error above push_error [1/s]
     push_error: float = 0.0  # threshold in the plane [m]
     grip: float = inf  # limit of the acceleration in the plane [m/s²]
-
-    @staticmethod
-    def natural_frequency(height: float, gravity: float) -> float:
-        """Return ω = √(g/z) [1/s] for a CoM ``height`` above the soles [m]."""
-        return sqrt(gravity / height)
 
     def repellent_point(
         self, dcm: Expression, reference: Expression, vrp_reference: Expression, integral: Expression, dt: Expression

@@ -18,12 +18,13 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel
+from valor.control.kinematics import ModelJoints
+from valor.control.motions import Motions
 from valor.robot.limiter import Joints
+from valor.whole_body.command import QpStatus
 from valor.whole_body.constraints import UNBOUNDED, JointLimit, Limit, Solved
-from valor.whole_body.model.dynamics import Dynamics, ModelJoints
-from valor.whole_body.model.motion import Motions
 from valor.whole_body.solver.elimination import Elimination, Reduced, UnsolvableError
-from valor.whole_body.state import QpStatus
+from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import GROUPS, Task
 
 ROUNDS = 8  # Most rounds of limits joining the problem
@@ -68,7 +69,7 @@ class Objective:
             self._posture_weight[frozen] = FROZEN_WEIGHT
         self._diagonal[6:] = REGULARIZATION + self._posture_weight
 
-    def update(self, dynamics: Dynamics, acceleration: FloatArray, posture: FloatArray) -> None:
+    def update(self, dynamics: TaskDynamics, acceleration: FloatArray, posture: FloatArray) -> None:
         """Compute H and g at this state, from desired accelerations: (rows,) of motions, (nj,) of joints [rad/s²]."""
         weighted, wanted = self._weighted, self._wanted
         np.multiply(dynamics.jacobian, self._weight_column, out=weighted)
@@ -126,7 +127,7 @@ class ContactForceQp:
         self._upper_bounded = bool((self._upper < UNBOUNDED).any())
         self._no_rows = np.empty((0, self._upper.size))
 
-    def solve(self, objective: Objective, dynamics: Dynamics, forces: FloatArray, bounds: Bounds) -> Solution:
+    def solve(self, objective: Objective, dynamics: TaskDynamics, forces: FloatArray, bounds: Bounds) -> Solution:
         """Solve with this state's dynamics and (nρ, nv) ``forces`` of the generators; raises ``UnsolvableError``."""
         mass, bias, n, pushing = dynamics.mass_matrix, dynamics.bias, self._joints, self._pushing
         forces = forces[pushing]
@@ -203,7 +204,7 @@ class ContactForceQp:
         return rho
 
     def _limit(
-        self, dynamics: Dynamics, forces: FloatArray, joined: npt.NDArray[np.intp], others: Limit | None
+        self, dynamics: TaskDynamics, forces: FloatArray, joined: npt.NDArray[np.intp], others: Limit | None
     ) -> Limit:
         rows, constant, effect = (
             np.zeros((joined.size, self._joints + 6)),

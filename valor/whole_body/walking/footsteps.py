@@ -2,38 +2,18 @@
 
 from collections.abc import Sequence
 from math import hypot, inf
-from typing import Protocol
 
 import numpy as np
 
 from valor.common import rotation
 from valor.common.messages import StepStatus
-from valor.robot import footsteps
+from valor.control.steps import SolePose, Step
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT
-from valor.whole_body.tuning_tables import Tuning
-from valor.whole_body.walking.swing import SolePose
 
 AHEAD = 3  # automatic steps planned
 ALIGNED = (0.02, 0.05)  # Largest error of feet side by side that need no closing step [m, rad]
-
-Step = footsteps.Step[SolePose]
-
-
-class StepSource(Protocol):
-    """Source of the gait's steps."""
-
-    def upcoming(self, soles: Sequence[SolePose]) -> Sequence[Step]:
-        """Return the steps to come, the next first, for the left and right sole on the ground; none: stand."""
-
-    def began(self, step: Step) -> None:
-        """Called when the first of the upcoming steps starts."""
-
-    def ended(self, step: Step) -> None:
-        """Called when its foot is on the ground."""
-
-    def rested(self) -> None:
-        """Called when the robot stands on both feet, at rest."""
 
 
 def level_pose(x: float, y: float, z: float, yaw: float) -> SolePose:

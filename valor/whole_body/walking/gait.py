@@ -14,16 +14,17 @@ from math import hypot, inf, sqrt
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.control.state import RobotState
+from valor.control.steps import SolePose, Step, StepSource
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT
 from valor.robot.motion_tables import Walking
 from valor.robot.size import ESCHER
-from valor.whole_body.state import RobotState
-from valor.whole_body.tuning_tables import Tuning
 from valor.whole_body.walking.dcm_plan import DcmPlan
-from valor.whole_body.walking.footsteps import RecoverySteps, Step, StepSource
+from valor.whole_body.walking.footsteps import RecoverySteps
 from valor.whole_body.walking.step_guard import StepGuard
-from valor.whole_body.walking.swing import SolePose, SwingPoint, SwingTrajectory
+from valor.whole_body.walking.swing import SwingPoint, SwingTrajectory
 
 AHEAD = 3  # Steps planned
 HIPS_AHEAD = 0.05  # Hips ahead of the middle of the feet when the rear foot lifts, for ESCHER's leg [m]

@@ -34,11 +34,10 @@ import numpy as np
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.control.steps import SolePose, Step
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT
-from valor.whole_body.tuning_tables import Tuning
-from valor.whole_body.walking.footsteps import Step
-from valor.whole_body.walking.swing import SolePose
 
 UNBOUNDED = 1e30  # No bound, for the solver
 PEAK = 1.875  # Ratio of peak to mean speed of a minimum-jerk motion

@@ -13,6 +13,7 @@ import numpy as np
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.control.steps import SolePose
 
 FOLLOWING = 0.06  # Time in which a late foot moves to a new foothold [s]
 HURRY = 4.0  # Acceleration of a late foot [m/s²]
@@ -22,14 +23,6 @@ LIFT = 0.2  # Fraction of the time with vertical motion only, at the start (up) 
 LANDING = 0.1  # Fraction of the time with vertical motion only, at the end of a step up
 PEEL, MOST_PEELED = 4.0, 0.5  # Pitch of the leaving foot, toes down: per height [rad/m], at most [rad]
 PEELED, LEVEL = 0.3, 0.75  # Fractions of the time of the largest pitch, and of level again
-
-
-@dataclass(slots=True)
-class SolePose:
-    """Pose of a sole in odom."""
-
-    position: FloatArray  # (3,) [m]
-    rotation: FloatArray  # (3, 3)
 
 
 @dataclass(slots=True)

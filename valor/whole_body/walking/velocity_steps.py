@@ -17,10 +17,10 @@ import numpy as np
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.control.steps import SolePose, Step
 from valor.robot.footsteps import LEFT, RIGHT
 from valor.robot.motion_tables import Walking
-from valor.whole_body.walking.footsteps import Step, beside, level_pose, side_by_side
-from valor.whole_body.walking.swing import SolePose
+from valor.whole_body.walking.footsteps import beside, level_pose, side_by_side
 
 FOOTHOLDS = 5  # Footholds stored
 FADING = 0.8  # Weight of a foothold relative to the next one
@@ -82,7 +82,7 @@ class VelocitySteps:
         self._highest = np.array((table.max_forward_speed, table.max_lateral_speed, table.max_turn_rate))
         self._lowest = np.array((-table.max_backward_speed, -table.max_lateral_speed, -table.max_turn_rate))
         self._change = np.array((table.speed_change, table.speed_change, table.turn_change))
-        self._wanted = np.zeros(3)
+        self.wanted = np.zeros(3)  # (3,) commanded, within the limits
         self._heard = 0.0
         self._now = 0.0
         self._last_foot: int | None = None
@@ -93,18 +93,18 @@ class VelocitySteps:
 
     def command(self, velocity: FloatArray, now: float) -> None:
         """Set (3,) the velocity forward, left [m/s], turning [rad/s], clamped to the robot's limits."""
-        self._wanted = np.clip(velocity, self._lowest, self._highest)
+        self.wanted = np.clip(velocity, self._lowest, self._highest)
         self._heard = self._now = now
 
     def advance(self, now: float) -> None:
         """Advance to robot time [s]; an expired command becomes a stop."""
         self._now = now
         if now - self._heard > self._table.command_timeout:
-            self._wanted = np.zeros(3)
+            self.wanted = np.zeros(3)
 
     def stop(self) -> None:
         """Stop walking."""
-        self._wanted = np.zeros(3)
+        self.wanted = np.zeros(3)
 
     def durations(self, velocity: FloatArray) -> tuple[float, float]:
         """Return durations of swing and transfer [s]: at speed steps are shorter in time, so that knees stay bent."""
@@ -147,7 +147,7 @@ class VelocitySteps:
         self._ground.forget()
 
     def _changed(self, velocity: FloatArray) -> FloatArray:
-        new: FloatArray = velocity + np.clip(self._wanted - velocity, -self._change, self._change)
+        new: FloatArray = velocity + np.clip(self.wanted - velocity, -self._change, self._change)
         return np.where(np.abs(new) < STILL, 0.0, new)
 
     @staticmethod

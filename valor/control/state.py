@@ -1,4 +1,4 @@
-"""Data of the Whole-Body Controller: estimated state, reference of the arms, command.
+"""State of the robot, as estimated in a control period.
 
 Vectors over joints have one entry per joint, in the order of ``RobotDescription.joints``. Frames: *odom* is
 fixed to the ground, its origin between the feet and its x forward at the estimator's reset; *pelvis* is the floating
@@ -6,24 +6,23 @@ base; a *sole* is the site under a foot.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
-from valor.whole_body.model.dynamics import Dynamics
+from valor.control.kinematics import Kinematics
 
 
 @dataclass(slots=True)
 class RobotState:
-    """Floating-base estimate of one control period; only ``dynamics`` changes with the estimator's next update."""
+    """Floating-base estimate of one control period; only ``kinematics`` changes with the estimator's next update."""
 
     time: int  # stamp of the Proprioceptor [ns]
     joint_position: FloatArray  # (n,) [rad]
     joint_velocity: FloatArray  # (n,) filtered [rad/s]
     joint_effort: FloatArray  # (n,) [N·m]
-    dynamics: Dynamics  # of the reduced model at this state
+    kinematics: Kinematics  # of the reduced model at this state
     contacts: npt.NDArray[np.uint8]  # (2,) left, right foot: 1 in contact
     pelvis_rotation_in_odom: FloatArray  # (3, 3)
     sole_positions_in_odom: FloatArray  # (2, 3) left, right [m]
@@ -43,36 +42,3 @@ class RobotState:
     pelvis_linear_velocity_variance: FloatArray  # (3,) [m²/s²]
     # (6,) from midway between the soles, in their mean heading [m]; roll, pitch, yaw [rad]
     pelvis_in_support: FloatArray
-
-
-@dataclass(slots=True)
-class UpperBodyReference:
-    """Joint reference from the Manipulation FSM; arms and waist are used."""
-
-    position: FloatArray  # (n,) [rad]
-    velocity: FloatArray  # (n,) [rad/s]
-    acceleration: FloatArray  # (n,) [rad/s²]
-    frozen: npt.NDArray[np.bool_] | None = None  # (n,) mask of joints that hold
-
-
-class QpStatus(IntEnum):
-    """Result of a period's QP (``MotionState.qp_status``)."""
-
-    NOT_RUN = 0
-    OPTIMAL = 1
-    LIMITED = 2  # solved again with torque or joint limits
-    INFEASIBLE = -1  # the last feasible command, with damping
-
-
-@dataclass(slots=True)
-class WholeBodyCommand:
-    """Joint command of a period; joints outside the WBC have effort 0."""
-
-    effort: FloatArray  # (n,) [N·m], within the effort limits
-    acceleration: FloatArray  # (n,) [rad/s²]
-    position: FloatArray  # (n,) integrated set-points [rad]; measured ones for joints driven by force
-    velocity: FloatArray  # (n,) integrated set-points [rad/s]; 0 for joints driven by force
-    dcm_reference_in_odom: FloatArray  # (3,) [m]
-    desired_foot_forces: FloatArray  # (2,) vertical, left and right, as the QP planned them [N]
-    qp_status: QpStatus
-    qp_failures: int  # since construction

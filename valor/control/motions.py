@@ -1,6 +1,6 @@
-"""Motions that tasks control: acceleration J·v̇ + drift, velocity J·v.
+"""Motions of the robot: acceleration J·v̇ + drift, velocity J·v.
 
-Each kind of motion is a class. Tasks name theirs; ``Motions`` stacks them and maps names to rows.
+Each kind of motion is a class. ``Motions`` stacks them and maps names to rows.
 
 The centroidal quantities are in the pelvis rows of the equations of motion (Orin & Goswami 2008; Wensing & Orin 2016);
 r is the CoM from the pelvis, R the pelvis' rotation.
@@ -20,7 +20,7 @@ from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression
 from valor.robot.model import Model
 
-FEET = "feet"  # motion of the soles, also used by estimator and contacts
+COM, FEET = "com", "feet"  # motions that the estimator uses, too
 
 
 class Base(NamedTuple):

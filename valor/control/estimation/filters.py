@@ -11,8 +11,8 @@ import numpy as np
 from valor.common import rotation
 from valor.common.kernel import Expression, by_rows
 from valor.common.rotation import Quaternion, Vector
+from valor.control.tuning_tables import Estimator
 from valor.robot.tables import Foot
-from valor.whole_body.tuning_tables import Estimator
 
 LARGEST_LEVEL = 0.03  # Largest accepted error of the IMU's level about an axis [rad]
 ATTITUDE_SIZE = 15

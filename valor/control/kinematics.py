@@ -1,17 +1,12 @@
-"""Kinematics and dynamics of the reduced model, from a few MuJoCo calls.
+"""Kinematics of the reduced model at the estimated state, from a few MuJoCo calls.
 
 Everything is evaluated with the pelvis at the origin and without linear velocity, in the axes of odom: mass matrix,
 bias forces, Jacobians and their drift depend on neither (homogeneity of space, Galilei). They are therefore evaluated
-once for estimator and controller, before the pelvis position is estimated.
-
-Equations of motion, pelvis rows first (linear in odom, angular in pelvis), with contact forces f at the soles:
-
-    M(q)·v̇ + h(q, v) = Sᵀ·τ + Jᵀ·f
-
-The motions that tasks use are defined in ``motion``.
+once for estimator and controllers, before the pelvis position is estimated.
 """
 
 from collections.abc import Sequence
+from math import sqrt
 
 import casadi as ca
 import mujoco
@@ -22,8 +17,13 @@ from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel, parts
 from valor.common.rotation import Quaternion
+from valor.control.motions import COM, FEET, Base, CentreOfMassMotion, Motions, SoleMotions
 from valor.robot.model import Indices, Model
-from valor.whole_body.model.motion import FEET, Base, Motions
+
+
+def natural_frequency(height: float, gravity: float) -> float:
+    """Return ω = √(g/z) [1/s] of the DCM for a CoM ``height`` above the soles [m]."""
+    return sqrt(gravity / height)
 
 
 class ModelJoints:
@@ -47,47 +47,39 @@ class ModelJoints:
         return np.flatnonzero(np.isin(self.indices, members))
 
 
-class Dynamics:
-    """Reduced model at one state; ``sole_dofs`` move each sole relative to the pelvis position.
+class Kinematics:
+    """Reduced model at one state; ``sole_dofs`` move each sole relative to the pelvis position."""
 
-    ``task_velocity`` is jacobian·velocity, relative to the pelvis' linear velocity.
-    """
-
-    def __init__(self, model: Model, motions: Motions) -> None:
-        """Create the model with these motions; that of the soles is named ``FEET``."""
+    def __init__(self, model: Model) -> None:
         tables, mj = model.robot.tables, model.mj
-        self.joints = ModelJoints(model)  # the model's joints
-        self._model = mj
-        self._data = data = mujoco.MjData(mj)
+        self.model, self.joints = model, ModelJoints(model)  # the model's joints
+        self.data = data = mujoco.MjData(mj)
         base = model.body(tables.base)
         soles = (model.site(tables.feet.left.sole), model.site(tables.feet.right.sole))
         self.mass = float(mj.body_subtreemass[base])  # [kg]
         self.gravity = -float(mj.opt.gravity[2])  # [m/s²]
-        nv = mj.nv
-        self.mass_matrix = np.zeros((nv, nv))  # (nv, nv)
-        self.bias = np.zeros(nv)  # (nv,) Coriolis, centrifugal and gravity forces
-        self.rows, self._motions = motions.rows, motions  # rows of each motion, by name
-        self.jacobian = np.zeros((motions.count, nv))  # (count, nv); motions accelerate by jacobian·v̇ + drift
-        self.drift, self.task_velocity = np.zeros(motions.count), np.zeros(motions.count)  # (count,)
-        self.poses = np.zeros(motions.size)  # (size,) of the motions that have a pose
+        self.mass_matrix = np.zeros((mj.nv, mj.nv))  # (nv, nv)
+        self._motions = motions = Motions({COM: CentreOfMassMotion(), FEET: SoleMotions(model)})
+        jacobian, velocity, poses = np.zeros((motions.count, mj.nv)), np.zeros(motions.count), np.zeros(motions.size)
         self.rotation = np.eye(3)  # (3, 3) pelvis in odom
         self.joint_position: FloatArray = data.qpos[7:]  # (nj,) of the model's joints [rad]
         self.joint_velocity: FloatArray = data.qvel[6:]  # (nj,) [rad/s]
         self.velocity: FloatArray = data.qvel  # (nv,) of the model, its linear part zero
         self.com: FloatArray = data.subtree_com[base]  # (3,) from the pelvis, in odom's axes [m]
-        of_soles = self.poses[motions.poses[FEET]]
+        self.com_velocity: FloatArray = velocity[motions.rows[COM]]  # (3,) relative to the pelvis' [m/s]
+        self.sole_jacobian: FloatArray = jacobian[motions.rows[FEET]]  # (12, nv) see ``SoleMotions``
+        of_soles = poses[motions.poses[FEET]]
         self.sole_position: FloatArray = of_soles[:6].reshape(2, 3)  # from the pelvis, in odom's axes [m]
         self.sole_rotation: FloatArray = of_soles[6:].reshape(2, 3, 3)  # in odom
         self.configuration: FloatArray = data.qpos[3:]  # (4 + nj,) input: pelvis orientation in odom, joints
         self.rates: FloatArray = data.qvel[3:]  # (3 + nj,) input: angular velocity of the pelvis in pelvis, joints
         self.sole_dofs = tuple(self._moving(int(mj.site_bodyid[site])) for site in soles)
-        self._jacobians = motions.calls(data, self.jacobian)
-        own = (self.jacobian[rows] for rows in motions.in_kernel)
-        self._accelerations = Kernel(
-            "accelerations",
+        self._jacobians = motions.calls(data, jacobian)
+        self._place = Kernel(
+            "kinematics",
             self._expressions,
-            (data.qpos[3:7], self.mass_matrix[:6], self.bias[:6], self.com, data.qvel, *motions.inputs(data)),
-            (self.rotation, self.drift, self.task_velocity, self.poses, *own),
+            (data.qpos[3:7], self.mass_matrix[:6], self.com, data.qvel, *motions.inputs(data)),
+            (self.rotation, velocity, poses),
         )
         data.qpos[:] = 0.0
         data.qpos[3] = 1.0
@@ -107,30 +99,18 @@ class Dynamics:
 
     def evaluate(self) -> None:
         """Evaluate everything at ``configuration`` and ``rates``."""
-        m, d = self._model, self._data
+        m, d = self.model.mj, self.data
         mujoco.mj_kinematics(m, d)
         mujoco.mj_comPos(m, d)
         mujoco.mj_crb(m, d)
         mujoco.mj_comVel(m, d)
-        mujoco.mj_rne(m, d, 0, self.bias)
-        mujoco.mj_rnePostConstraint(m, d)  # accelerations of bodies at v̇ = 0: the Jacobians' drift
         mujoco.mj_fullM(m, d, self.mass_matrix)
         for write in self._jacobians:
             write()
-        self._accelerations()
-
-    def nearest(self, one: int, other: int, reach: float, segment: FloatArray) -> float:
-        """Return the distance of two geoms, at most ``reach``; write their nearest points to (6,) ``segment`` [m]."""
-        return float(mujoco.mj_geomDistance(self._model, self._data, one, other, reach, segment))
-
-    def point_jacobian(self, geom: int, point: FloatArray, rows: FloatArray, rates: FloatArray) -> None:
-        """Write the Jacobian of a point on a geom's body to (3, nv) ``rows``, its time derivative to ``rates``."""
-        body = self._model.geom_bodyid[geom]
-        mujoco.mj_jac(self._model, self._data, rows, None, point, body)
-        mujoco.mj_jacDot(self._model, self._data, rates, None, point, body)
+        self._place()
 
     def _moving(self, body: int) -> list[int]:
-        m = self._model
+        m = self.model.mj
         dofs: list[int] = []
         while body > 0:
             first = int(m.body_dofadr[body])
@@ -139,11 +119,12 @@ class Dynamics:
         return sorted(dof for dof in dofs if dof >= 3)
 
     def _expressions(self, orientation: Expression, *given: Expression) -> Sequence[Expression]:
-        """Rotation of the pelvis; drifts, velocities, poses and some Jacobians of the motions."""
-        mass_rows, bias, com, rates, *inputs = given
-        up = ca.vertcat(0.0, 0.0, self.gravity)
+        """Rotation of the pelvis; velocities and poses of CoM and soles."""
+        mass_rows, com, rates, *inputs = given
         turned = ca.vertcat(*(ca.horzcat(*row) for row in rotation.rows(parts(orientation))))
-        return turned, *self._motions.find(Base(turned, mass_rows, bias, com, rates, up, self.mass), inputs)
+        still = Base(turned, mass_rows, ca.SX(6, 1), com, rates, ca.SX(3, 1), self.mass)
+        _, velocities, poses, *_ = self._motions.find(still, inputs)
+        return turned, velocities, poses
 
 
 class UpperBodyKinematics:

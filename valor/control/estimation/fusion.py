@@ -19,7 +19,7 @@ import numpy as np
 from valor.common import rotation
 from valor.common.kernel import Expression, parts, pieces, roll_pitch_yaw
 from valor.common.rotation import Quaternion
-from valor.whole_body.estimation.filters import (
+from valor.control.estimation.filters import (
     ATTITUDE_SIZE,
     BIAS,
     FEET,
@@ -35,9 +35,8 @@ from valor.whole_body.estimation.filters import (
     Past,
     chosen,
 )
-from valor.whole_body.model.dynamics import Dynamics
-from valor.whole_body.tasks import CentreOfMass
-from valor.whole_body.tuning_tables import Estimator
+from valor.control.kinematics import Kinematics
+from valor.control.tuning_tables import Estimator
 
 SENT: dict[str, tuple[int, ...]] = {
     "pelvis_rotation_in_odom": (3, 3),
@@ -104,7 +103,7 @@ class Fusion:
     def __init__(
         self,
         table: Estimator,
-        dynamics: Dynamics,
+        kinematics: Kinematics,
         feet: Sequence[FootSense],
         mounting: Quaternion,
         *,
@@ -112,7 +111,7 @@ class Fusion:
         omega: float,
     ) -> None:
         """Create for n joints and ω of the DCM [1/s]; ``mounting`` is the rotation of the IMU in pelvis."""
-        self._table, self._dynamics, self._feet, self._mounting = table, dynamics, feet, mounting
+        self._table, self._kinematics, self._feet, self._mounting = table, kinematics, feet, mounting
         self._joints, self._inverse_omega = joints, 1.0 / omega
 
     def by_imu(self, *symbols: Expression) -> Sequence[Expression]:
@@ -126,7 +125,7 @@ class Fusion:
         )
         smoothing = 1.0 - ca.exp(-dt * (2.0 * np.pi * self._table.joint_velocity_bandwidth))
         velocity = memory.joint_velocity + (measured.joint_velocity - memory.joint_velocity) * smoothing
-        joints = self._dynamics.joints.indices
+        joints = self._kinematics.joints.indices
         before = memory._replace(attitude=ca.vertcat(*known.numbers), joint_velocity=velocity)
         return (
             *before,
@@ -140,11 +139,11 @@ class Fusion:
 
     def by_feet(self, *symbols: Expression) -> Sequence[Expression]:
         """Return the memory with the measurements of feet and legs, the state, and contacts."""
-        memory, (numbers, dt, turned, com, task_velocity, soles, sole_rotations, jacobian) = (
+        memory, (numbers, dt, turned, com, com_moving, soles, sole_rotations, jacobian) = (
             Memory(*symbols[:-8]),
             symbols[-8:],
         )
-        measured, table, dynamics = Measured.of(numbers, self._joints), self._table, self._dynamics
+        measured, table, kinematics = Measured.of(numbers, self._joints), self._table, self._kinematics
         known = Attitude.of(memory.attitude)
         rotations = ca.vertsplit(sole_rotations, 3)
         places = [place.T for place in ca.vertsplit(soles)]
@@ -152,7 +151,7 @@ class Fusion:
         left, right = feet
 
         force = turned @ self._in_pelvis(measured.imu_linear_acceleration)
-        acceleration = force - ca.vertcat(0.0, 0.0, dynamics.gravity)
+        acceleration = force - ca.vertcat(0.0, 0.0, kinematics.gravity)
         odometry = odometry.predicted(acceleration, dt, self._wander(left, right), table)
 
         weights = [foot.probability * foot.force for foot in feet]
@@ -160,7 +159,7 @@ class Fusion:
         standing, both = total > 0.0, ca.logic_and(left.touching, right.touching)
         shares = [ca.if_else(standing, weight / total, 0.0) for weight in weights]
         rates = ca.vertcat(
-            self._in_pelvis(measured.imu_angular_velocity), measured.joint_velocity[dynamics.joints.indices]
+            self._in_pelvis(measured.imu_angular_velocity), measured.joint_velocity[kinematics.joints.indices]
         )
         legs, variances = self._by_legs(feet, shares, places, jacobian, rates)
         surprise = [
@@ -186,7 +185,7 @@ class Fusion:
             heading_variance,
             memory.joint_velocity,
         )
-        com_velocity = odometry.state[VELOCITY, :].T + task_velocity[dynamics.rows[CentreOfMass.name]]
+        com_velocity = odometry.state[VELOCITY, :].T + com_moving
         sent = self._of_base(known, odometry, com, com_velocity, heading_variance) | {
             "pelvis_rotation_in_odom": turned,
             "pelvis_angular_velocity_in_pelvis": rates[:3],
@@ -234,7 +233,7 @@ class Fusion:
     ) -> dict[str, Expression]:
         """Floating base and CoM by the names of ``SENT``; ``com`` (3,) is from the pelvis."""
         base, covariance = odometry.state[POSITION, :].T, odometry.covariance
-        level = covariance[BIAS, BIAS] / self._dynamics.gravity**2
+        level = covariance[BIAS, BIAS] / self._kinematics.gravity**2
         return {
             "pelvis_position_in_odom": base,
             "pelvis_orientation_in_odom": ca.vertcat(*known.orientation),
@@ -280,7 +279,7 @@ class Fusion:
         place, rate = self._table.leg_position_deviation**2, self._table.leg_velocity_deviation**2
         velocities, doubts = [], []
         for i, foot in enumerate(feet):
-            moving = self._dynamics.sole_dofs[i]
+            moving = self._kinematics.sole_dofs[i]
             rows = jacobian[6 * i : 6 * i + 6, moving] @ rates[[dof - 3 for dof in moving]]
             # Velocity of the pelvis from the centre of pressure, which is at rest: −(v + ω×r).
             velocities.append(-(rows[:3] + ca.cross(rows[3:], foot.cop)))
@@ -293,7 +292,7 @@ class Fusion:
         self, known: Attitude, odometry: Odometry, turned: Expression, middle: Expression
     ) -> tuple[Odometry, Attitude]:
         """Rotate the attitude by the accelerometer's bias, and the pelvis about ``middle``, the loaded feet [m]."""
-        state, g = ca.SX(odometry.state), self._dynamics.gravity
+        state, g = ca.SX(odometry.state), self._kinematics.gravity
         tilt = ca.vertcat(state[BIAS, 1] / g, -state[BIAS, 0] / g, 0.0)
         levelled, taken = known.tilted(parts(turned.T @ tilt))
         state[BIAS, :2] = 0.0

@@ -17,15 +17,13 @@ import numpy.typing as npt
 from valor.common import rotation
 from valor.common.kernel import Kernel
 from valor.common.messages import Proprioceptor
+from valor.control.estimation.filters import FEET, POSITION, Attitude, FootSense
+from valor.control.estimation.fusion import SENT, Fusion, Memory
+from valor.control.kinematics import Kinematics, UpperBodyKinematics, natural_frequency
+from valor.control.state import RobotState
+from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.whole_body.balance.reference import DcmLaw
-from valor.whole_body.estimation.filters import FEET, POSITION, Attitude, FootSense
-from valor.whole_body.estimation.fusion import SENT, Fusion, Memory
-from valor.whole_body.model.dynamics import Dynamics, UpperBodyKinematics
-from valor.whole_body.state import RobotState
-from valor.whole_body.tasks import FootMotion, motions
-from valor.whole_body.tuning_tables import Tuning
 
 LONGEST_GAP = 0.02  # Longest period over which the IMU's rates are integrated [s]
 _CONTACTS: tuple[npt.NDArray[np.uint8], ...] = tuple(
@@ -40,19 +38,19 @@ class FloatingBaseEstimator:
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
         self._table = table = robot.read(Tuning).estimator
-        self.dynamics = dynamics = Dynamics(model, motions(model))  # model at the last state
+        self.kinematics = kinematics = Kinematics(model)  # model at the last state
         self._joints = len(robot.joints)
         site = model.site(robot.tables.imu.site)
         self._mounting = rotation.quaternion(model.mj.site_quat[site])
         if int(model.mj.site_bodyid[site]) != model.body(robot.tables.base):
             raise ValueError(f"{robot.name}: the IMU's site {robot.tables.imu.site!r} is not on the floating base")
-        weight = dynamics.mass * dynamics.gravity
+        weight = kinematics.mass * kinematics.gravity
         feet, on, off = robot.tables.feet, table.contact_on * weight, table.contact_off * weight
         senses = [
             FootSense(foot, on, off, table.settling_time, table.surprise_gate) for foot in (feet.left, feet.right)
         ]
-        omega = DcmLaw.natural_frequency(UpperBodyKinematics(model).nominal_com_height, dynamics.gravity)
-        fusion = Fusion(table, dynamics, senses, self._mounting, joints=len(robot.joints), omega=omega)
+        omega = natural_frequency(UpperBodyKinematics(model).nominal_com_height, kinematics.gravity)
+        fusion = Fusion(table, kinematics, senses, self._mounting, joints=len(robot.joints), omega=omega)
         self._before, self._after = Memory.zeros(self._joints), Memory.zeros(self._joints)
         self._measured = np.zeros(22 + 2 * self._joints)
         self._dt = np.zeros(1)
@@ -64,7 +62,7 @@ class FloatingBaseEstimator:
             "imu",
             fusion.by_imu,
             (*self._after, self._measured, self._dt),
-            (*self._before, dynamics.configuration, dynamics.rates),
+            (*self._before, kinematics.configuration, kinematics.rates),
         )
         self._feel_ground = Kernel(
             "feet",
@@ -73,12 +71,12 @@ class FloatingBaseEstimator:
                 *self._before,
                 self._measured,
                 self._dt,
-                dynamics.rotation,
-                dynamics.com,
-                dynamics.task_velocity,
-                dynamics.sole_position,
-                dynamics.sole_rotation,
-                dynamics.jacobian[dynamics.rows[FootMotion.name]],
+                kinematics.rotation,
+                kinematics.com,
+                kinematics.com_velocity,
+                kinematics.sole_position,
+                kinematics.sole_rotation,
+                kinematics.sole_jacobian,
             ),
             (*self._after, self._sent, self._touching),
         )
@@ -109,7 +107,7 @@ class FloatingBaseEstimator:
         self._time = proprioceptor.time
         self._dt[0] = min(max(passed, 0.0), LONGEST_GAP)
         self._feel_motion()
-        self.dynamics.evaluate()
+        self.kinematics.evaluate()
         self._feel_ground()
         # By position: twenty keyword arguments take longer than computing the fields.
         turned, soles, sole_rotations, *vectors = self._fields(self._sent.copy())
@@ -119,7 +117,7 @@ class FloatingBaseEstimator:
             proprioceptor.joint_position,
             self._after.joint_velocity.copy(),
             proprioceptor.joint_effort,
-            self.dynamics,
+            self.kinematics,
             _CONTACTS[int(left + 2.0 * right)],
             turned.reshape(3, 3),
             soles.reshape(2, 3),
@@ -129,28 +127,28 @@ class FloatingBaseEstimator:
 
     def _start(self, proprioceptor: Proprioceptor) -> None:
         """Set odom between the feet, which are assumed to stand both."""
-        dynamics, after, table = self.dynamics, self._after, self._table
-        places = dynamics.joints.places
+        kinematics, after, table = self.kinematics, self._after, self._table
+        places = kinematics.joints.places
         position, velocity = proprioceptor.joint_position[places], proprioceptor.joint_velocity[places]
         mounted = np.zeros((3, 3))
         rotation.matrix(self._mounting, mounted)
         rate = mounted @ proprioceptor.imu_angular_velocity
         imu = rotation.quaternion(proprioceptor.imu_orientation)
         orientation = rotation.multiply(imu, rotation.conjugate(self._mounting))
-        dynamics.update(orientation, rate, position, velocity)
-        turn = rotation.about_z(-rotation.mean_yaw(dynamics.sole_rotation[0], dynamics.sole_rotation[1]))
+        kinematics.update(orientation, rate, position, velocity)
+        turn = rotation.about_z(-rotation.mean_yaw(kinematics.sole_rotation[0], kinematics.sole_rotation[1]))
         orientation = rotation.multiply(turn, orientation)
-        dynamics.update(orientation, rate, position, velocity)
+        kinematics.update(orientation, rate, position, velocity)
         for array in after:
             array[:] = 0.0
         after.attitude[:] = Attitude(orientation, heading=turn, rate=tuple(rate.tolist())).numbers
-        after.state[POSITION] = -dynamics.sole_position.mean(axis=0)
-        after.state[FEET:] = after.state[POSITION] + dynamics.sole_position
+        after.state[POSITION] = -kinematics.sole_position.mean(axis=0)
+        after.state[FEET:] = after.state[POSITION] + kinematics.sole_position
         leg = table.leg_position_deviation**2
         variances = (0.0, table.start_velocity_deviation**2, table.bias_deviation**2, leg, leg)
         np.fill_diagonal(after.covariance, variances)
-        after.acceleration[:] = dynamics.rotation @ mounted @ proprioceptor.imu_linear_acceleration
-        after.acceleration[2] -= dynamics.gravity
+        after.acceleration[:] = kinematics.rotation @ mounted @ proprioceptor.imu_linear_acceleration
+        after.acceleration[2] -= kinematics.gravity
         after.joint_velocity[:] = proprioceptor.joint_velocity
         self._time = proprioceptor.time
         self._started = True

@@ -1,4 +1,4 @@
-"""Joint commands of the Whole-Body Controller, and the Motor of a control period with its last check."""
+"""Motor of a control period, with the last check of every joint command."""
 
 import math
 from collections.abc import Sequence
@@ -12,69 +12,11 @@ import numpy.typing as npt
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel, clipped
 from valor.common.messages import JointMode, Motor
+from valor.control.controller import JointCommand
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
 from valor.robot.tables import WHOLE_BODY_GROUPS
-from valor.whole_body.model.dynamics import ModelJoints
-from valor.whole_body.state import WholeBodyCommand
-
-
-class SetPoints:
-    """Set-points of the joints that are not driven by force: they integrate the accelerations (thesis 3.4.2)."""
-
-    def __init__(self, robot: RobotDescription, joints: ModelJoints) -> None:
-        nj, n = joints.count, len(robot.joints)
-        self._indices, self._joints = joints.indices, n
-        self.integrated = np.array([robot.tables.joints[name].control != "force" for name in joints.names])
-        self._lower, self._upper = robot.lower[joints.places], robot.upper[joints.places]
-        self._now = np.zeros((2, nj))
-        self.position, self.velocity = self._now  # (nj,) of the model's joints [rad, rad/s]
-        self._solved = np.zeros(6 + 2 * nj + n)
-        self._dt = np.zeros(1)
-        self._next = np.zeros((2, nj))
-        self._sent = np.zeros((4, n))
-        self._integrate = Kernel(
-            "set_points",
-            self._expressions,
-            (self._solved, self._dt, self.position, self.velocity),
-            (self._next, self._sent),
-        )
-
-    def reset(self, position: FloatArray) -> None:
-        """Start at rest at (nj,) ``position`` [rad], clamped to the limits."""
-        self.position[:] = np.clip(position, self._lower, self._upper)
-        self.velocity[:] = 0.0
-
-    def advance(
-        self, acceleration: FloatArray, torque: FloatArray, measured: FloatArray, dt: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Integrate (nv,) accelerations over ``dt`` [s], with (nj,) torques [N·m] and (n,) measured positions [rad].
-
-        Returns (n,) efforts [N·m] and accelerations [rad/s²], zero outside the model, and (n,) set-points of position
-        and velocity [rad, rad/s], the measured position and zero for joints without set-points.
-        """
-        np.concatenate((acceleration, torque, measured), out=self._solved)
-        self._dt[0] = dt
-        self._integrate()
-        self._now[:] = self._next
-        effort, joint_acceleration, position, velocity = self._sent.copy()
-        return effort, joint_acceleration, position, velocity
-
-    def _expressions(
-        self, solved: Expression, dt: Expression, position: Expression, velocity: Expression
-    ) -> Sequence[Expression]:
-        nj = position.shape[0]
-        accelerations, torques, measured = solved[6 : 6 + nj], solved[6 + nj : 6 + 2 * nj], solved[6 + 2 * nj :]
-        velocity = velocity + accelerations * dt
-        position = clipped(position + velocity * dt, ca.DM(self._lower), ca.DM(self._upper))
-        sent = [ca.SX(self._joints, 1), ca.SX(self._joints, 1), ca.SX(measured), ca.SX(self._joints, 1)]
-        led = np.flatnonzero(self.integrated).tolist()
-        places = [self._indices[joint] for joint in led]
-        sent[0][self._indices], sent[1][self._indices] = torques, accelerations
-        sent[2][places], sent[3][places] = position[led], velocity[led]
-        return ca.horzcat(position, velocity).T, ca.horzcat(*sent).T
-
 
 Modes = npt.NDArray[np.uint8]  # (n,) of JointMode
 
@@ -113,7 +55,7 @@ class MotorCommand:
             self._modes(force, JointMode.IMPEDANCE, servo),
             np.where(self.force, 0.0, stiffness),
             np.where(self.force, 0.0, damping),
-        )
+        )  # of the last command
         self._limp = Drive(self._modes(force, force, off), nothing, np.where(self._compliant, damping, 0.0))
         self._zeros = nothing
         self._asked, self._checked, self._checks = np.zeros((6, n)), np.zeros((4, n)), np.zeros(2)
@@ -129,12 +71,6 @@ class MotorCommand:
         """(n,) modes, from one mode for each kind of control."""
         return np.where(self.force, force, np.where(self.impedance, impedance, position)).astype(np.uint8)
 
-    def set_gains(self, stiffness: FloatArray, damping: FloatArray) -> None:
-        """Set the gains (n,) of the joints driven by impedance in operation [N·m/rad, N·m·s/rad]."""
-        self._operation = Drive(
-            self._operation.mode, np.where(self.force, 0.0, stiffness), np.where(self.force, 0.0, damping)
-        )
-
     def limp(self, measured: FloatArray) -> None:
         """Command no effort, only damping; joints with a position servo are off."""
         self._set(self._limp, measured, self._zeros, self._zeros)
@@ -145,7 +81,7 @@ class MotorCommand:
 
     def balance(
         self,
-        command: WholeBodyCommand,
+        command: JointCommand,
         position: FloatArray,
         velocity: FloatArray,
         effort: FloatArray,
@@ -154,13 +90,13 @@ class MotorCommand:
         offsets: FloatArray | None = None,
         held: Joints | None = None,
     ) -> None:
-        """Command the Whole-Body Controller's output with weight ``share``, blended with ``hold`` without a jump.
+        """Command a controller's output with weight ``share``, blended with ``hold`` without a jump.
 
         (n,) position, velocity and effort are those of ``hold``, and of joints that the controller does not move. (n,)
         ``offsets`` compensate the servos: they are added to the controller's set-points [rad]. (n,) mask ``held``:
         joints that have ``hold`` instead where they are driven by force, with the controller's effort.
         """
-        drive = self._operation
+        drive = self._drive(command)
         offsets = self._zeros if offsets is None else offsets
         led_position, led_velocity, compliant_effort = command.position, command.velocity, command.effort
         if share < 1.0:
@@ -168,8 +104,8 @@ class MotorCommand:
             servo = self._servo
             drive = Drive(
                 servo.mode,
-                np.where(self.force, rest * servo.stiffness, servo.stiffness),
-                np.where(self.force, rest * servo.damping, servo.damping),
+                np.where(self.force, share * drive.stiffness + rest * servo.stiffness, drive.stiffness),
+                np.where(self.force, share * drive.damping + rest * servo.damping, drive.damping),
             )
             led_position = np.where(self.force, position, share * command.position + rest * position)
             led_velocity = np.where(self.force, velocity, share * command.velocity + rest * velocity)
@@ -184,6 +120,15 @@ class MotorCommand:
             )
             led_position, led_velocity = np.where(by_servo, (position, velocity), (led_position, led_velocity))
         self._set(drive, position, velocity, compliant_effort, (led_position, led_velocity, offsets))
+
+    def _drive(self, command: JointCommand) -> Drive:
+        """The command's gains; joints driven by force have a servo only where they have gains."""
+        last = self._operation
+        if command.stiffness is not last.stiffness or command.damping is not last.damping:
+            by_force = self.force & (command.stiffness == 0.0) & (command.damping == 0.0)
+            mode = np.where(by_force, JointMode.FORCE, self._servo.mode).astype(np.uint8)
+            self._operation = Drive(mode, command.stiffness, command.damping)
+        return self._operation
 
     def repeat(self) -> None:
         """Repeat the last command, with zero velocity and damping: for a period without a valid command."""

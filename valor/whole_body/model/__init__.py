@@ -1,1 +1,0 @@
-"""Reduced model of the robot: kinematics, dynamics, effect of the arms on the centre of mass."""
