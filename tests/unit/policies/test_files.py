@@ -1,0 +1,117 @@
+"""Files that are no policies are rejected in one line; policies of strangers are run as by themselves."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+
+from harness.onnx_file import BIAS, affine
+from tests.unit.policies.builds import ESCHER, robot_with, senses, weights, write
+from valor.common.errors import ConfigurationError
+from valor.common.rotation import quaternion, vertical
+from valor.policies.contract import PolicyError, load
+from valor.policies.model_file import ModelFile
+from valor.policies.policy import Policy
+
+NAN = {"actions": {"obs": np.full((3, 2), np.nan), BIAS: np.zeros(2)}}
+SOUND = {"actions": weights(3, 2)}
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("missing", "No such file"), ("text", "is not an ONNX file"), ("empty", "is not an ONNX file"),
+        ("huge", "has 1024 MiB; expected a policy of at most 100 MiB"), ("pipe", "is no regular file"),
+        ("huge data", "has 1024 MiB"), ("no data", "external data are missing"), ("opset", "opset"),
+        ("nan", "output 'actions' is not finite"), ("truncated", "is not an ONNX file"),
+    ],
+)  # fmt: skip
+def test_no_policies(what: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "p.onnx"
+    if what in {"text", "empty"}:
+        file.write_text("hello" if what == "text" else "")
+    elif what == "pipe":
+        os.mkfifo(file)
+    elif what != "missing":
+        outputs = NAN if what == "nan" else SOUND
+        affine(file, {"obs": 3}, outputs, opset=99 if what == "opset" else 17,
+               external="p.onnx.data" if "data" in what else None)  # fmt: skip
+    if what.startswith("huge"):
+        with (file if what == "huge" else tmp_path / "p.onnx.data").open("ab") as opened:
+            opened.truncate(1 << 30)
+    if what == "truncated":
+        file.write_bytes(file.read_bytes()[:-20])
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        ModelFile(file).require_finite()
+    assert str(file) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_without_onnxruntime_the_command_is_named(tmp_path: Path) -> None:
+    affine(tmp_path / "p.onnx", {"obs": 3}, SOUND)
+    hidden = "import sys; sys.modules['onnxruntime'] = None; from pathlib import Path\n"
+    code = f"{hidden}from valor.policies.model_file import ModelFile; ModelFile(Path({str(tmp_path / 'p.onnx')!r}))"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "ConfigurationError: onnxruntime is not installed here" in result.stderr
+    assert "pip install 'valor[policies]'" in result.stderr
+
+
+LEG = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
+FACTS = {
+    "period": 0.02,
+    "observation": [  # holosoma sorts its terms by name
+        "last_action", {"term": "base_angular_velocity", "scale": 0.25}, "yaw_rate_command", "linear_velocity_command",
+        "gait_cos", "joint_position_relative", {"term": "joint_velocity", "scale": 0.05}, "projected_gravity",
+        "gait_sin",
+    ],
+    "gait": {"period": 1.0, "standing": float(np.pi)}, "action_scale": 0.25,
+}  # fmt: skip
+STANDING = {
+    "g1": [*[-0.312, 0, 0, 0.669, -0.363, 0] * 2, 0, 0, 0, 0.2, 0.2, 0, 0.6, 0, 0, 0, 0.2, -0.2, 0, 0.6, 0, 0, 0],
+    "t1": [0, 0, 0.2, -1.35, 0, -0.5, 0, 0, 0, 0.2, 1.35, 0, 0.5, 0, 0, 0, 0, *[-0.2, 0, 0, 0.4, -0.25, 0] * 2],
+}
+
+
+def stranger(name: str, folder: Path) -> Path:
+    """A policy of holosoma-inference."""
+    found = importlib.util.find_spec("holosoma_inference")
+    assert found is not None and found.submodule_search_locations, "run `make setup`"
+    source = next((Path(found.submodule_search_locations[0]) / "models").rglob(f"{name}.onnx"))
+    (folder / "policy.onnx").symlink_to(source)
+    return folder / "policy.onnx"
+
+
+@pytest.mark.parametrize("name", ["fastsac_g1_29dof", "ppo_g1_29dof", "fastsac_t1_29dof", "ppo_t1_29dof"])
+def test_policies_of_strangers_act_as_their_observations_are_defined(name: str, tmp_path: Path) -> None:
+    file, zero = stranger(name, tmp_path), np.array(STANDING[name[-8:-6]])
+    names = json.loads(onnxruntime.InferenceSession(str(file)).get_modelmeta().custom_metadata_map["dof_names"])
+    robot = robot_with(sorted(names))
+    policy = Policy(load(write(file, FACTS | {"default_position": zero.tolist()}), robot), robot)
+    session, action, random = onnxruntime.InferenceSession(str(file)), np.zeros(29), np.random.default_rng(2)
+    index = [robot.index[each] for each in names]
+    for step in range(4):
+        state = senses(random, robot)
+        state.velocity_command[:] = [0.3, 0.1, -0.2]
+        phase = np.array([0, np.pi]) + 2 * np.pi * 0.02 * step
+        down = -np.array(vertical(quaternion(state.pelvis_orientation)))
+        observed = np.concatenate([
+            action, 0.25 * state.pelvis_angular_velocity, [-0.2], [0.3, 0.1], np.cos(phase),
+            state.joint_position[index] - zero, 0.05 * state.joint_velocity[index], down, np.sin(phase),
+        ])  # fmt: skip
+        (given,) = session.run(None, {"actor_obs": observed[None].astype(np.float32)})
+        action = np.clip(given[0], -100, 100)
+        assert policy.act(state).position == pytest.approx(zero + 0.25 * action, abs=1e-3)
+
+
+def test_the_dance_is_rejected_by_the_terms_that_are_not_known_here(tmp_path: Path) -> None:
+    file = stranger("ppo_g1_29dof_dancing", tmp_path)
+    terms = ["last_action", "base_angular_velocity", "joint_position_relative", "joint_velocity", "motion_command"]
+    with pytest.raises(PolicyError, match="motion_command: not known here"):
+        load(write(file, FACTS | {"observation": terms}), ESCHER)
