@@ -1,4 +1,4 @@
-"""One device on a test bench: its driver with a thread, its emulator in a simulated robot, and a port between."""
+"""One device on a test bench: its driver at work, its emulator in a simulated robot, and a port between."""
 
 from __future__ import annotations
 
@@ -116,18 +116,10 @@ class Bench:
 
     @contextmanager
     def running(self) -> Iterator[Device]:
-        """A driver with its thread."""
-        driver, stopping = self._started(), threading.Event()
-        thread = threading.Thread(target=driver.run, args=(stopping,))
-        thread.start()
-        try:
+        """A driver at work."""
+        driver = self._started()
+        with at_work(driver):
             yield driver
-        finally:
-            stopping.set()
-            driver.wake()
-            thread.join(1.0)
-            driver.close()
-            assert not thread.is_alive()
 
     def close(self) -> None:
         """End the emulator's side."""
@@ -135,6 +127,29 @@ class Bench:
         self._thread.join()
         self.emulator.close()
         self._domain.close()
+
+
+@contextmanager
+def at_work(driver: Device) -> Iterator[None]:
+    """A driver's thread, and a main loop; in the end it is closed."""
+    stopping = threading.Event()
+
+    def loop() -> None:
+        while not stopping.wait(0.002):
+            driver.request_states()
+            driver.gather()
+
+    threads = threading.Thread(target=driver.run, args=(stopping,)), threading.Thread(target=loop)
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        stopping.set()
+        for thread in threads:
+            thread.join(1.0)
+        driver.close()
+        assert not any(thread.is_alive() for thread in threads)
 
 
 def reported_fault(driver: Device, unit: str, fault: Fault) -> UnitFault:
@@ -166,5 +181,5 @@ class StillDevice(Device):
     def find(self) -> None:
         raise NotImplementedError
 
-    def run(self, stopping: threading.Event) -> None:
+    def close(self) -> None:
         raise NotImplementedError

@@ -333,7 +333,7 @@ class DynamixelEmulator(Emulator):
             each.servo = Servo(each.table.id, each.model, each.table.firmware)
 
     def _measure(self, each: _JointServo, now: float, robot: SimulatedRobot) -> None:
-        measured, servo = robot.measured, each.servo
+        measured, servo = robot.recent, each.servo
         # Rotation follows robot time, which is slower than the wall clock on an overloaded computer.
         elapsed = 0.0 if each.time is None else robot.time - each.time
         each.time = robot.time

@@ -18,6 +18,7 @@ from valor.robot.description import RobotDescription
 
 LATENESS = 0.03  # delay of late responses [s]
 SLOWNESS = 10  # one of so many frames of a slow unit is sent
+LONGEST_REST = 0.01  # between steps of an emulator [s]
 
 
 def make_emulator(name: str, instance: Instance, settings: Settings, robot: RobotDescription) -> Emulator:
@@ -126,6 +127,7 @@ class Emulator(ABC):
         """``kinds``: unit → faults that it can have."""
         self.name = name  # of the device, as in robot.yaml
         self.faults = FaultSwitches(kinds)  # of its units
+        self.due = 0.0  # of the next step without received data [s]
 
     @abstractmethod
     def files(self) -> tuple[int, ...]:
@@ -135,7 +137,7 @@ class Emulator(ABC):
     def step(self, now: float, robot: SimulatedRobot) -> None:
         """Process received data without waiting, and respond with the simulated measurements.
 
-        Called every few milliseconds and whenever one of ``files`` is readable; ``now``: of the emulators' clock [s].
+        Called when one of ``files`` is readable and when it is ``due``; ``now``: of the emulators' clock [s].
         """
 
     @abstractmethod

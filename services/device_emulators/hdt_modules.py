@@ -116,7 +116,7 @@ class HdtModules(Emulator):
             robot.hold(limb.joints)
 
     def _measure(self, limb: _Limb, frame: int, now: float, robot: SimulatedRobot) -> np.ndarray:
-        joints, measured, command = limb.joints, robot.measured, limb.command
+        joints, measured, command = limb.joints, robot.recent, limb.command
         state = np.zeros((), limb.states)
         state["limb"], state["frame"] = limb.number, frame
         state["serial"], state["firmware"] = limb.table.serial, limb.table.firmware
@@ -129,7 +129,8 @@ class HdtModules(Emulator):
             play = self._play[joints] * driven
             ahead = command["position"] - state["position"]
             state["position"] += np.minimum(np.maximum(ahead, -play), play)
-        self._add_faults(limb, state, now)
+        if self.faults:
+            self._add_faults(limb, state, now)
         limb.reported = state
         return state
 

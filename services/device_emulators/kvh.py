@@ -3,6 +3,8 @@
 Implements the tables of the manual (``valor.devices.kvh``) independently of the driver, so that tests find mistakes.
 """
 
+import math
+
 import numpy as np
 
 from valor.common.instance import Instance, Settings
@@ -55,8 +57,9 @@ class KvhSensor:
             self._is_rate = value == "RATE"
         return f"{name},{value}"
 
-    def is_due(self, now: float) -> bool:
-        return not self.configuring and self._timer.is_due(now)
+    @property
+    def due(self) -> float:
+        return math.inf if self.configuring else self._timer.due
 
     def measure(self, measured: Proprioceptor, hot: bool) -> None:
         self.temperature = HOT if hot else NORMAL
@@ -66,7 +69,7 @@ class KvhSensor:
 
     def stream(self, now: float) -> list[bytes]:
         """Message due at ``now`` [s], if any; missed messages advance the sequence number and are not sent."""
-        if not self.is_due(now):
+        if now < self.due:
             return []
         self._sequence = (self._sequence + self._timer.advance(now)) & 0x7F
         rotation = self.rotation * (1.0 if self._is_rate else self._timer.period)

@@ -1,5 +1,6 @@
 """Emulated MicroStrain IMU of the pelvis: commands, replies, and the stream of its filter."""
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -116,12 +117,13 @@ class MipSensor:
         self.angular_velocity = _half_turn(measured.imu_angular_velocity)
         self.specific_force = _half_turn(measured.imu_linear_acceleration)
 
-    def is_due(self, now: float) -> bool:
-        return self._enabled and not self._idle and bool(self._entries) and self._timer.is_due(now)
+    @property
+    def due(self) -> float:
+        return self._timer.due if self._enabled and not self._idle and self._entries else math.inf
 
     def stream(self, now: float) -> list[bytes]:
         """Packet due at ``now`` [s], if any; missed packets are not sent."""
-        if not self.is_due(now):
+        if now < self.due:
             return []
         self._timer.advance(now)
         if self._started is None:

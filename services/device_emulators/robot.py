@@ -17,6 +17,7 @@ from valor.simulation.sensors import Sensors
 Places = npt.NDArray[np.intp]
 STALENESS = 3  # age of the latest command to supporting drives at which robot time stops [control periods]
 PAUSE_TIMEOUT = 1.0  # longest stop of robot time [s of wall clock]
+RECENT = 0.005  # age of measurements of slow devices [s]
 MAX_ADVANCE = 0.012  # longest robot time simulated at once after a stall of the emulators [s]
 
 
@@ -49,6 +50,7 @@ class SimulatedRobot:
         self._carries = np.zeros(n, dtype=bool)
         self._carries[self._carrying] = True
         self._measured: Proprioceptor | None = None
+        self._recent: Proprioceptor | None = None
         # Robot time and wall clock of the latest command to supporting drives [s]; before the first command, of the
         # latest request for their states.
         self._received: tuple[float, float] | None = None
@@ -64,12 +66,20 @@ class SimulatedRobot:
         """Measurements with the noise of the profile; constant until the next step."""
         if self._measured is None:
             self._measured = self._sensors.measure(0, round(self.time * 1e9))
+            self._recent = self._measured
             if not self.released:  # MuJoCo reports free fall; the gantry's support gives -gravity
                 w, x, y, z = self._measured.imu_orientation.tolist()
                 gx, gy, gz = self.plant.model.mj.opt.gravity.tolist()
                 up = np.array(rotate(conjugate((w, x, y, z)), (-gx, -gy, -gz)))
                 self._measured.imu_linear_acceleration = self._measured.kvh_linear_acceleration = up
         return self._measured
+
+    @property
+    def recent(self) -> Proprioceptor:
+        """Measurements up to ``RECENT`` old, as of devices with a cycle of their own."""
+        if self._recent is None or self.time - 1e-9 * self._recent.time > RECENT:
+            self._recent = self.measured
+        return self._recent
 
     def power(self, joints: Places, on: bool) -> None:
         """Switch the drives of joints on, or off (limp)."""

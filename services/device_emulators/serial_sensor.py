@@ -1,5 +1,6 @@
 """Emulator of a sensor on a serial port, independent of its protocol."""
 
+import math
 from collections.abc import Callable
 from typing import Protocol
 
@@ -19,19 +20,20 @@ class Timer:
 
     def __init__(self, period: float = 1.0) -> None:
         self.period = period  # [s]
-        self._due: float | None = None  # [s]
+        self.due = -math.inf  # of the next message [s]
 
     def restart(self) -> None:
         """Make the next message due at once."""
-        self._due = None
-
-    def is_due(self, now: float) -> bool:
-        return self._due is None or now + 1e-9 >= self._due
+        self.due = -math.inf
 
     def advance(self, now: float) -> int:
-        """Set the next due time; returns the number of messages that were due."""
-        count = 1 if self._due is None else 1 + int((now + 1e-9 - self._due) / self.period)
-        self._due = (now if self._due is None else self._due) + count * self.period
+        """Set the next due time; returns the number of messages that were due.
+
+        Sensors of one rate are due at once, and so measure one state of the robot.
+        """
+        due = self.due if math.isfinite(self.due) else now - now % self.period
+        count = 1 + int((now + 1e-9 - due) / self.period)
+        self.due = due + count * self.period
         return count
 
 
@@ -41,8 +43,9 @@ class Sensor(Protocol):
     def receive(self, data: bytes) -> list[bytes]:
         """Process bytes of the driver; returns the responses."""
 
-    def is_due(self, now: float) -> bool:
-        """Return whether a message is due at ``now`` [s]."""
+    @property
+    def due(self) -> float:
+        """Time of the next message [s]; infinite: it does not stream."""
 
     def measure(self, measured: Proprioceptor, hot: bool) -> None:
         """Store the robot's measurements; ``hot``: overheated."""
@@ -83,9 +86,10 @@ class SerialSensorEmulator(Emulator):
             self._port.plug()
         for reply in self._sensor.receive(self._port.read()):
             self._line.send(self.name, reply, now)
-        if self._sensor.is_due(now):
+        if now >= self._sensor.due:
             hot = self.faults.active(self.name, EmulatedFault.OVER_TEMPERATURE, now)
             self._sensor.measure(robot.measured, hot)
             for message in self._sensor.stream(now):
                 self._line.send(self.name, message, now)
         self._line.flush(now)
+        self.due = min(self.due, self._sensor.due)

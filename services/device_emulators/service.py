@@ -12,7 +12,7 @@ from valor.common.pacing import WallClock
 from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
 from valor.common.topics import FAULT, GROUND_TRUTH
-from valor.device_emulators.emulator import EmulatedFault, Emulator, NoSuchFaultError, make_emulator
+from valor.device_emulators.emulator import LONGEST_REST, EmulatedFault, Emulator, NoSuchFaultError, make_emulator
 from valor.device_emulators.robot import SimulatedRobot
 from valor.service import Context, quiet_collector
 from valor.simulation.plant import PushServer, Truth
@@ -100,8 +100,7 @@ class DeviceEmulators:
                 began, now = time.perf_counter(), time.monotonic()
                 due = max(due + TURN, now)
                 robot.pass_until(now)
-                for emulator in self._emulators:
-                    emulator.step(now, robot)
+                self._step([emulator for emulator in self._emulators if now >= emulator.due], now)
                 turns += 1
                 if turns % request_turns == 0:
                     self._serve_requests(now)
@@ -114,9 +113,12 @@ class DeviceEmulators:
             if ready := ports.select(remaining):
                 now = time.monotonic()
                 self._robot.pass_until(now)
-                for key, _ in ready:
-                    emulator: Emulator = key.data
-                    emulator.step(now, self._robot)
+                self._step([key.data for key, _ in ready], now)
+
+    def _step(self, emulators: Sequence[Emulator], now: float) -> None:
+        for emulator in emulators:
+            emulator.due = now + LONGEST_REST
+            emulator.step(now, self._robot)
 
     def _serve_requests(self, now: float) -> None:
         """Publish the ground truth, process requests and report, at 100 Hz."""

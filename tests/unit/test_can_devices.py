@@ -24,7 +24,6 @@ ESCHER = RobotDescription.load(ROBOTS / "escher")
 ROBOT = RobotDescription(ESCHER.folder, replace(ESCHER.tables, control_rate=250.0))
 LEGS, SENSORS = "legs", "force_torque"
 PERIOD = round(1e9 * ROBOT.control_period)  # [ns]
-LONGEST_EXCHANGE = 0.005  # on a bus that is well again, though it is not told yet [s]
 UNIT = {LEGS: "7", SENSORS: "3"}  # the waist's controller, the left hand's sensor
 
 
@@ -52,12 +51,10 @@ class Loop:
         self._now += 1e-9 * PERIOD
         bench.robot.advance(round(1e-9 * PERIOD / bench.robot.plant.step_time))
         device.request_states()
-        given_up = time.monotonic() + LONGEST_EXCHANGE
-        while not device.gathered.is_set():
-            device._turn()
-            bench.emulator.step(self._now, bench.robot)
-            if device._failure and time.monotonic() > given_up:  # while the bus fails nothing is gathered
-                break
+        bench.emulator.step(self._now, bench.robot)
+        device.gather()
+        if device._failure:
+            time.sleep(1e-9 * PERIOD)  # it is opened again by the wall's time
         self.watch.update(round(1e9 * self._now))
         if self.holding and (measured := device.joint_state) is not None:
             zero = np.zeros(measured.position.size)

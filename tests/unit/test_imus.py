@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import termios
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from harness.device_bench import UNSOUND, Bench, reported_fault, sound
+from harness.device_bench import UNSOUND, Bench, at_work, reported_fault, sound
 from harness.places import ROBOTS
 from harness.waiting import some, wait_until
 from valor.comms_manager.hardware.device import DeviceError, Fault, ImuMeasurement
@@ -143,7 +142,7 @@ def test_what_lay_here_unread_is_not_the_sensors_delay(bench: Bench) -> None:
     driver.find()
     record, looks = driver.records[0], driver.looks
     before, errors = record.states, record.errors
-    time.sleep(0.15)  # the thread does not get its turn: that is the subject of this test
+    time.sleep(0.15)  # the main loop does not get its turn: that is the subject of this test
     asked = time.monotonic_ns()
     driver._listen(0.1)  # type: ignore[attr-defined]
     assert record.states >= before + 5 and record.errors == errors
@@ -154,7 +153,7 @@ def test_what_lay_here_unread_is_not_the_sensors_delay(bench: Bench) -> None:
 
 @IMU
 def test_what_came_while_other_devices_were_found_is_not_taken_for_late(bench: Bench) -> None:
-    driver, stopping = bench.driver(), threading.Event()
+    driver = bench.driver()
     driver.find()
     assert isinstance(driver, MicroStrain)
     port = some(driver._port)
@@ -163,13 +162,7 @@ def test_what_came_while_other_devices_were_found_is_not_taken_for_late(bench: B
         return int.from_bytes(fcntl.ioctl(port.fileno(), termios.FIONREAD, bytes(4)), "little")
 
     wait_until(lambda: waiting() > 2000, 10, "twenty-five samples that nobody fetched")
-    thread = threading.Thread(target=driver.run, args=(stopping,))
-    thread.start()
-    try:
+    with at_work(driver):
         before = driver.records[0].states
         wait_until(lambda: driver.records[0].states >= before + 10, 10, "ten samples")
         assert driver.records[0].errors <= 1, "the one that was cut in two, at most"
-    finally:
-        stopping.set()
-        thread.join()
-        driver.close()

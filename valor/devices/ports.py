@@ -8,6 +8,7 @@ import contextlib
 import select
 import socket
 import struct
+import time
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from valor.devices.can_frames import KIND, TO_MASTER, TO_UNITS, Frame
 
 _BUSES = 8
 _ENDS = 3  # of an emulated bus, on each side
+_RETRY = 0.05  # from a try to send to an end that nobody has to the next [s]
 _LARGEST = 4096  # datagram [B]
 _HEADER = struct.Struct("<HB")  # identifier and length of a frame in a datagram
 
@@ -30,7 +32,8 @@ class EmulatedBus:
     def __init__(self, name: str, master: bool) -> None:
         """``name``: of the bus. Raises OSError: its side has ``_ENDS`` ends already."""
         own, others = ([f"\0{name}/{side}/{k}" for k in range(_ENDS)] for side in (master, not master))
-        self._socket, self._others = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK), others
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._others = dict.fromkeys(others, 0.0)  # end → when it is tried again, as nobody was there [monotonic s]
         for end in own:
             with contextlib.suppress(OSError):
                 self._socket.bind(end)
@@ -42,9 +45,15 @@ class EmulatedBus:
     def send(self, frames: Iterable[Frame]) -> None:
         """Send frames in one datagram."""
         data = b"".join(_HEADER.pack(identifier, len(content)) + content for identifier, content in frames)
-        for other in self._others:
-            with contextlib.suppress(ConnectionRefusedError, BlockingIOError):  # nobody is there, or does not listen
-                self._socket.sendto(data, other)
+        now = time.monotonic()
+        for other, again in self._others.items():
+            if now >= again:
+                try:
+                    self._socket.sendto(data, other)
+                except ConnectionRefusedError:
+                    self._others[other] = now + _RETRY
+                except BlockingIOError:
+                    pass  # it does not listen
 
     def receive(self, timeout: float) -> list[Frame]:
         """All received frames; waits for the first one [s]."""

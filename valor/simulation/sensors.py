@@ -15,6 +15,7 @@ from valor.robot.tables import SensorNoise
 from valor.simulation.plant import Plant
 
 SUPPLY = 48.0  # of a robot without batteries [V]
+DRAIN_EVERY = 10_000_000  # period of computing the batteries' voltage [ns]
 
 
 class Sensors:
@@ -115,14 +116,17 @@ class Supply:
 
     def __init__(self, robot: RobotDescription, table: Batteries) -> None:
         self._table, self._limit, self._share, self._time = table, robot.effort_limit, table.charge, 0
+        self._voltage = 0.0  # latest
 
     def drain(self, time: int, velocity: FloatArray, effort: FloatArray) -> float:
         """Draw what the joints have needed until robot ``time`` [ns]; returns the voltage [V]."""
+        if self._voltage and 0 <= time - self._time < DRAIN_EVERY:
+            return self._voltage
         table, power = self._table, self._table.power(effort, velocity, self._limit)
-        voltage = table.voltage(self._share, power)
+        self._voltage = table.voltage(self._share, power)
         hours, self._time = 1e-9 * (time - self._time) / 3600.0, time
-        self._share = max(0.0, self._share - power / voltage * hours / table.whole)
-        return voltage
+        self._share = max(0.0, self._share - power / self._voltage * hours / table.whole)
+        return self._voltage
 
 
 class Kvh:

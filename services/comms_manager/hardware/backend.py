@@ -4,7 +4,6 @@
 
     period     |<------------------------ control period ------------------------>|
     main loop  SYNC → gather → Proprioceptor ── wait for Motor ──→ hand out, sleep → SYNC …
-    devices       their threads, at their own rates
 """
 
 import logging
@@ -43,7 +42,7 @@ from valor.devices.kinds import Quantity
 from valor.service import Context
 
 LONGEST_WAIT = 1.0  # timeout of the devices' clock [s]
-# Five threads share the interpreter: a waiting thread must get it in less than the default of 5 ms.
+# Threads share the interpreter: the main loop must get it in less than the default of 5 ms.
 _SWITCH_INTERVAL = 0.0005
 _log = logging.getLogger("comms_manager")
 
@@ -116,6 +115,7 @@ class Hardware(Backend):
         self._context, self._robot, robot = context, context.robot, context.robot
         self._devices: list[Device] = []
         self._threads: list[threading.Thread] = []
+        self._ended: set[Device] = set()  # by an error of their driver
         self._stopping = threading.Event()
         device_context = DeviceContext(context.instance, context.settings, robot)
         try:
@@ -161,17 +161,24 @@ class Hardware(Backend):
 
     def _sample(self) -> None:
         for device in self._devices:
-            device.request_states()
+            self._attempt(device, device.request_states)
         for device in self._devices:
-            device.await_states()
+            self._attempt(device, device.gather)
 
     def _run(self, device: Device) -> None:
         WallClock()  # the thread wakes on time
+        self._attempt(device, device.run, self._stopping)
+
+    def _attempt(self, device: Device, work: Callable[..., None], *arguments: object) -> None:
+        """Let a device work; an error of its driver ends it, and none of the others."""
+        if device in self._ended:
+            return
         try:
-            device.run(self._stopping)
+            work(*arguments)
         except Exception as error:
-            _log.exception("%s: its thread ended", device.name)
-            text = f"its thread has ended: {type(error).__name__}, see the log; restart the Comms Manager"
+            self._ended.add(device)
+            _log.exception("%s: its driver ended", device.name)
+            text = f"its driver has ended: {type(error).__name__}, see the log; restart the Comms Manager"
             device.report_faults([UnitFault(record.unit, Fault.FAULTY, text) for record in device.records])
 
     @property
@@ -239,7 +246,8 @@ class Hardware(Backend):
         vectors = (position, motor.velocity, effort, motor.stiffness, motor.damping)
         for device in self._moving:
             joints = device.joints
-            device.send(JointCommands(motor.sequence, motor.mode[joints], *(each[joints] for each in vectors)))
+            command = JointCommands(motor.sequence, motor.mode[joints], *(each[joints] for each in vectors))
+            self._attempt(device, device.send, command)
 
     def measure(self, sequence: int) -> Proprioceptor:
         return self._senses.measure(self._time.now, sequence, self._motor_sequence, self._watch.primary)
@@ -260,8 +268,6 @@ class Hardware(Backend):
     def close(self) -> None:
         """End the threads; the motor controllers' watchdogs hold the joints."""
         self._stopping.set()
-        for device in self._devices:
-            device.wake()
         for thread in self._threads:
             thread.join(timeout=1.0)
         for device in self._devices:

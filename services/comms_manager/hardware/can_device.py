@@ -1,16 +1,14 @@
 """Base class of devices on CAN buses: SYNC, one STATE per unit in response, requests, and identity.
 
-The main loop requests states (``request_states``). The thread broadcasts SYNC, gathers the STATEs, and provides them
-when all units that responded lately have responded, or after a timeout.
+The main loop requests states: SYNC is broadcast to all buses. ``gather`` provides the STATEs when all units that
+responded lately have responded, or after a timeout.
 """
 
 import contextlib
 import math
-import select
-import threading
 import time
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import can
 import numpy as np
@@ -23,6 +21,7 @@ from valor.comms_manager.hardware.device import (
     DeviceError,
     Fault,
     IntVector,
+    JointCommands,
     UnitFault,
     UnitRecord,
     WrenchMeasurement,
@@ -38,7 +37,6 @@ ANSWER_TIME = 0.1  # timeout of a request [s]
 TRIES = 20  # of a request, at start
 ATTEND_EVERY = 0.1  # period of requests to units with faults [s]
 REOPEN_EVERY = 0.5  # period of reopening a bus that fails [s]
-_IDLE = 0.02  # longest sleep of the thread [s]
 
 
 class CanUnit:
@@ -60,11 +58,9 @@ class CanDevice(Device):
         super().__init__(name, context)
         self.units = units  # by number
         self.records = tuple(unit.record for unit in units.values())
-        self.gathered = threading.Event()  # set when the states requested last have been provided
         self._number, self._length = bus, length
         self._bus: CanBus | None = None
         self._reopened = 0.0  # [monotonic s]
-        self._states_wanted = False
         self._counter = 0
         self._synced = 0  # when SYNC was sent last, monotonic [ns]
         self._missing: set[int] = set()  # units that have not responded to it
@@ -72,17 +68,39 @@ class CanDevice(Device):
         self._replies: dict[int, Reply] = {}
         self._attended = 0.0
         self._failure = ""  # present failure of the bus
+        self._requested = False  # SYNC was sent, and its responses are still to be provided
         self._now: int | None = None  # ``elapsed`` at this SYNC, if a unit has responded [ns]
         self.elapsed = 0  # time since ``find`` by the units' clocks [ns]
 
     def request_states(self) -> None:
-        self.gathered.clear()
-        self._states_wanted = True
-        self.wake()
+        with self._failing():
+            self._listen(0.0)  # late responses belong to the last SYNC
+            self._sync()
+            self._requested = True
 
-    def await_states(self) -> None:
-        """Wait for these states, at most twice their timeout."""
-        self.gathered.wait(2.0 * GATHERING)
+    def gather(self) -> None:
+        """Wait for these states until their timeout, and provide them."""
+        if not self._requested:
+            return
+        self._requested = False
+        with self._failing():
+            remaining = GATHERING
+            while remaining > 0.0 and not self._missing.isdisjoint(self._awaited):
+                remaining = max(0.0, GATHERING - 1e-9 * (time.monotonic_ns() - self._synced))
+                self._listen(remaining)
+            self._finish()
+            self.looks += 1
+            if self._failure:
+                self._report_failure("")
+            now = time.monotonic()
+            if now - self._attended > ATTEND_EVERY:
+                self._attended = now
+                self._attend()
+
+    def send(self, command: JointCommands) -> None:
+        super().send(command)
+        with self._failing():
+            self._send_command()
 
     def find(self) -> None:
         """Check the identity of every unit, and receive a first state of each."""
@@ -105,10 +123,9 @@ class CanDevice(Device):
         if self._bus is not None:
             self._bus.close()
             self._bus = None
-        super().close()
 
     def _request(self, unit: CanUnit, code: Code, expectation: str) -> Reply:
-        """Repeat a request until the unit replies; before the thread starts."""
+        """Repeat a request until the unit replies; at start."""
         assert self._bus is not None
         for _ in range(TRIES):
             self._replies.pop(unit.number, None)
@@ -123,39 +140,15 @@ class CanDevice(Device):
             f"{unit.name}: no answer on CAN bus {self._number} within {TRIES * ANSWER_TIME:g} s; {expectation}"
         )
 
-    def run(self, stopping: threading.Event) -> None:
-        while not stopping.is_set():
-            self._turn()
-
-    def _turn(self) -> None:
-        assert self._bus is not None
-        port, woken = self._bus.fileno(), self.woken
-        timeout = _IDLE
-        if not self.gathered.is_set() and self._missing:
-            timeout = max(0.0, GATHERING - 1e-9 * (time.monotonic_ns() - self._synced))
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Report a failure of the bus itself: none of its units can be reached."""
         try:
-            ready, _, _ = select.select((port, woken), (), (), timeout)
-            if port in ready:  # first, as it may belong to the last SYNC
-                self._listen(0.0)
-            if woken in ready:
-                self.drain_wake()
-                if self._states_wanted:
-                    self._states_wanted = False
-                    self._sync()
-                self._send_command()
-            if not self.gathered.is_set() and not self._states_wanted and self._is_over():
-                self._finish()
-                self.gathered.set()
-                self.looks += 1
-                if self._failure:
-                    self._report_failure("")
-            now = time.monotonic()
-            if now - self._attended > ATTEND_EVERY:
-                self._attended = now
-                self._attend()
-        except (can.CanError, OSError) as error:  # the bus itself fails: none of its units can be reached
+            yield
+        except (can.CanError, OSError) as error:
+            assert self._bus is not None
+            self._requested = False
             self._report_failure(f"CAN bus {self._number}: {error}")
-            time.sleep(_IDLE)
             self._reopen(self._bus)
 
     def _reopen(self, old: CanBus) -> None:
@@ -178,9 +171,6 @@ class CanDevice(Device):
         failing = [UnitFault(each.unit, Fault.UNPLUGGED, self._failure) for each in self.records if self._failure]
         units = [unit_fault for each in self.units.values() for part in each.unit_faults for unit_fault in part]
         self.report_faults([*failing, *units])
-
-    def _is_over(self) -> bool:
-        return not (self._missing & self._awaited) or time.monotonic_ns() - self._synced > 1e9 * GATHERING
 
     def _finish(self) -> None:
         if self._now is not None:

@@ -1,25 +1,20 @@
-"""Base class of all devices: a thread that exchanges frames, states out, commands in.
+"""Base class of all devices: states out, commands in.
 
-Thread and main loop exchange references to the latest complete object, which are replaced and never changed. Replacing
-a reference is atomic in Python, so neither side waits for the other.
-
-::
-
-    device thread ── states ────► main loop      latest measurements, with the time at which each was received
-    device thread ◄── command ─── main loop      latest slice of Motor; ``wake`` notifies the thread
-    device thread ── faults ────► main loop      faults of units, except timeouts
+The main loop reads all ports when a period begins: a thread for each would wake it several times a period. Only what
+blocks has a thread: servos that a library reads, and the search for a lost sensor. Thread and main loop exchange
+references to the latest complete object, which are replaced and never changed. Replacing a reference is atomic in
+Python, so neither side waits for the other.
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from threading import Event
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -81,8 +76,7 @@ class UnitFault:
     detail: str  # human-readable, one line
 
 
-@dataclass(frozen=True, slots=True)
-class JointMeasurement:
+class JointMeasurement(NamedTuple):
     """States of a device's joints, (m,) in the device's order."""
 
     stamp: IntVector  # time of reception, monotonic [ns]; 0: never
@@ -91,8 +85,7 @@ class JointMeasurement:
     effort: FloatArray  # [N·m]
 
 
-@dataclass(frozen=True, slots=True)
-class ImuMeasurement:
+class ImuMeasurement(NamedTuple):
     """Sample of an inertial measurement unit."""
 
     stamp: int  # time of reception, monotonic [ns]
@@ -109,8 +102,7 @@ class WrenchMeasurement:
     wrench: FloatArray  # (k, 6) [N, N·m] in the frames of Proprioceptor's wrenches
 
 
-@dataclass(frozen=True, slots=True)
-class JointCommands:
+class JointCommands(NamedTuple):
     """A device's slice of Motor, arrays of (m,) in the device's order; finite and within the joints' limits."""
 
     sequence: int  # of the Motor
@@ -124,7 +116,7 @@ class JointCommands:
 
 @dataclass(slots=True)
 class UnitRecord:
-    """Statistics of one unit, written by the device thread; a row of ``DeviceStatus``."""
+    """Statistics of one unit, written by its device; a row of ``DeviceStatus``."""
 
     unit: str
     states: int = 0  # received since start
@@ -185,10 +177,10 @@ class Watched(ABC):
 
 
 class Device(Watched):
-    """A device behind one port, with its own thread.
+    """A device behind one port.
 
-    The main loop calls ``find`` and ``enable`` before the thread starts. ``run`` never raises for received data: it
-    reports ``unit_faults``, and continues.
+    The main loop calls ``find`` and ``enable`` before the thread starts. ``gather`` and ``run`` never raise for
+    received data: they report ``unit_faults``, and continue.
 
     Attributes:
         provides: quantities of its kind.
@@ -216,8 +208,6 @@ class Device(Watched):
         self.inertia: ImuMeasurement | None = None  # its orientation may be unknown
         self.wrench: WrenchMeasurement | None = None
         self.command: JointCommands | None = None
-        self.woken = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-        """Readable after ``wake``: for ``select``, with the port."""
 
     @abstractmethod
     def find(self) -> None:
@@ -241,30 +231,19 @@ class Device(Watched):
     def request_states(self) -> None:  # most have their own rate
         """Let all units sample now (main loop)."""
 
-    def await_states(self) -> None:
-        """Wait, within bounds, for the requested states (main loop)."""
+    def gather(self) -> None:
+        """Process what was received, and wait, within bounds, for the requested states (main loop)."""
+
+    def run(self, stopping: Event) -> None:
+        """The thread, for what blocks: until ``stopping`` is set; return within 0.1 s of that. Default: none."""
 
     @abstractmethod
-    def run(self, stopping: Event) -> None:
-        """The thread: exchange frames until ``stopping`` is set; return within 0.1 s of that."""
-
     def close(self) -> None:
         """Switch motors off where that is safe, close the port; called after the thread has ended."""
-        os.close(self.woken)
 
     def send(self, command: JointCommands) -> None:
         """Set the latest command (main loop)."""
         self.command = command
-        self.wake()
-
-    def wake(self) -> None:
-        """Wake the thread (main loop)."""
-        os.eventfd_write(self.woken, 1)
-
-    def drain_wake(self) -> None:
-        """Clear ``woken`` (device thread), before processing new input."""
-        with contextlib.suppress(BlockingIOError):
-            os.eventfd_read(self.woken)
 
 
 def providers(devices: Sequence[Device], quantity: Quantity) -> list[Device]:

@@ -81,7 +81,6 @@ class DynamixelServos(Device):
                         self._port.write(servo.table.id, servo.registers.goal_velocity, 0)
             self._port.close()
             self._port = None
-        super().close()
 
     def _open(self) -> None:
         try:

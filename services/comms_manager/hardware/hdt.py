@@ -7,7 +7,7 @@ which then moves to Motor's position at a bounded speed (``Rejoining``).
 import math
 import time
 from collections import OrderedDict
-from threading import Event
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -116,9 +116,8 @@ class Hdt(Device):
         self._stamp = np.zeros(m, dtype=np.int64)
         self._position, self._velocity, self._effort = np.zeros(m), np.zeros(m), np.zeros(m)
         self._cycle = 0
-
-    def wake(self) -> None:
-        """Nothing: the thread has its own rate."""
+        self._due = -math.inf  # of the next cycle [monotonic s]; before the first, limbs may have moved since ``find``
+        self._incoming = bifrost.Poller([limb.states for limb in self._limbs])
 
     def find(self) -> None:
         """Wait until every joint has been measured; the driver checks the limbs' identities."""
@@ -126,7 +125,7 @@ class Hdt(Device):
         while any((missing := self._missing(limb)) for limb in self._limbs):
             if time.monotonic() > deadline:
                 raise DeviceError(missing)
-            self._receive(_LOOK_EVERY)
+            self._wait(_LOOK_EVERY)
 
     def enable(self) -> None:
         """Command the limbs to hold, and wait until they apply it."""
@@ -141,11 +140,11 @@ class Hdt(Device):
                 self._send(limb, None)
             until = time.monotonic() + 1.0 / self._table.rate
             while (remaining := until - time.monotonic()) > 0.0:
-                self._receive(remaining)
+                self._wait(remaining)
 
     def close(self) -> None:
+        self._incoming.close()
         self._node.close()
-        super().close()
 
     def _missing(self, limb: _Limb) -> str:
         """What is missing of a limb's state; an empty string if nothing."""
@@ -158,26 +157,27 @@ class Hdt(Device):
                 return f"{unit}: {joint}: its {why}; expected all modules"
         return ""
 
-    def run(self, stopping: Event) -> None:
-        for limb in self._limbs:  # they may have moved since ``find``
-            limb.rejoining.lost()
-            limb.silent = True
-        period, due = 1.0 / self._table.rate, time.monotonic()
-        while not stopping.is_set():
-            now = time.monotonic()
-            if now >= due:
-                due = max(due + period, now)
-                self._cycle += 1
-                for limb in self._limbs:
-                    # A limb that is back receives no command before its first state.
-                    if self._cycle % limb.every == 0 and not limb.silent:
-                        self._send(limb, self.command)
-                self._receive(0.0)  # messages received while this thread was not scheduled prevent a timeout
-                self._check_timeouts(now)
-            self._receive(min(_LOOK_EVERY, max(0.0, due - now)))
+    def gather(self) -> None:
+        now = time.monotonic()
+        if self._due < 0.0:
+            for limb in self._limbs:
+                limb.rejoining.lost()
+                limb.silent = True
+        if now >= self._due:
+            self._due = max(self._due + 1.0 / self._table.rate, now)
+            self._cycle += 1
+            for limb in self._limbs:
+                # A limb that is back receives no command before its first state.
+                if self._cycle % limb.every == 0 and not limb.silent:
+                    self._send(limb, self.command)
+        self._receive(self._incoming.look())  # messages received while this process was not scheduled prevent a timeout
+        self._check_timeouts(now)
 
-    def _receive(self, timeout: float) -> None:
-        ready = bifrost.wait([limb.states for limb in self._limbs], timeout)
+    def _wait(self, timeout: float) -> None:
+        states = [limb.states for limb in self._limbs]
+        self._receive(bifrost.wait(states, timeout))
+
+    def _receive(self, ready: Sequence[bifrost.Subscriber[HdtState]]) -> None:
         valid = [
             self._process(limb, received.message)
             for limb in self._limbs

@@ -6,7 +6,7 @@ import select
 import termios
 import time
 from abc import abstractmethod
-from threading import Event
+from threading import Event, Lock
 
 import serial
 
@@ -20,7 +20,7 @@ TRIES = 10  # of a command, at start
 LATEST = 0.02  # largest delay of an accepted sample [s]
 RETRY_PERIOD = 0.5  # period of searching for a disconnected sensor [s]
 STREAM_LOST = 1.0  # timeout of samples, after which streaming is requested again [s]
-_WAIT = 0.02  # longest sleep of the thread [s]
+_WAIT = 0.02  # time between reads that delays no sample [s]
 _READ = 4096
 
 
@@ -43,9 +43,11 @@ class SerialSensor(Device):
         self.rate = rate
         self._stream = stream
         self._port: serial.Serial | EmulatedLine | None = None
+        self._using = Lock()  # held by who uses the port: main loop, or the thread that searches for the sensor
         self._clock = DeviceClock()
+        self._unread = True  # samples wait that were received while other devices were found
         self._looked = math.inf  # time of the last read [monotonic s]
-        self._away = 0.0  # delay of the latest read beyond the thread's sleep [s]
+        self._away = 0.0  # delay of the latest read beyond ``_WAIT`` [s]
 
     @abstractmethod
     def _wanted(self) -> str:
@@ -100,7 +102,6 @@ class SerialSensor(Device):
             with contextlib.suppress(OSError):  # it is disconnected
                 self._port.write(self._farewell)
             self._disconnect()
-        super().close()
 
     def _connect(self, tries: int) -> None:
         try:
@@ -122,35 +123,47 @@ class SerialSensor(Device):
             self._port.close()
             self._port = None
 
+    def gather(self) -> None:
+        if not self._using.acquire(blocking=False):
+            return  # it is searched for
+        try:
+            if self._unread:
+                self._discard_received()
+            if self._port is None:
+                self.looks += 1
+            else:
+                self._listen(0.0)
+        except OSError:  # also pyserial's
+            self._lose()
+        finally:
+            self._using.release()
+
     def run(self, stopping: Event) -> None:
-        """Process samples until ``stopping`` is set; find the sensor again after a disconnection."""
-        tried = time.monotonic()
-        self._discard_received()
-        while not stopping.is_set():
-            try:
-                if self._port is not None:
-                    self._listen(_WAIT)
-                now = time.monotonic()
-                lost = self._port is None or now - 1e-9 * self._record.stamp > STREAM_LOST
-                if lost and now - tried > RETRY_PERIOD:
-                    tried = now
-                    self._disconnect()
+        """Find the sensor again after a disconnection, or when its samples stop."""
+        while not stopping.wait(RETRY_PERIOD):
+            if self._port is not None and time.monotonic() - 1e-9 * self._record.stamp <= STREAM_LOST:
+                continue
+            with self._using:
+                self._disconnect()
+                try:
                     self._connect(tries=1)
                     self.report_faults([])
-                elif self._port is None:
-                    stopping.wait(_WAIT)
-                    self.looks += 1
-            except OSError:  # also pyserial's
-                self._disconnect()
-                self.report_faults([UnitFault(self.name, Fault.UNPLUGGED, f"{self._path} is gone")])
-            except NoAnswerError:
-                continue  # its timeout is reported
-            except DeviceError as error:
-                if self._path.exists():
-                    self.report_faults([UnitFault(self.name, Fault.FAULTY, str(error).removeprefix(f"{self.name}: "))])
+                except OSError:
+                    self._lose()
+                except NoAnswerError:
+                    pass  # its timeout is reported
+                except DeviceError as error:
+                    if self._path.exists():
+                        text = str(error).removeprefix(f"{self.name}: ")
+                        self.report_faults([UnitFault(self.name, Fault.FAULTY, text)])
+
+    def _lose(self) -> None:
+        self._disconnect()
+        self.report_faults([UnitFault(self.name, Fault.UNPLUGGED, f"{self._path} is gone")])
 
     def _discard_received(self) -> None:
-        """Discard samples received while other devices were found, as they are too late."""
+        """Discard samples that are too late."""
+        self._unread = False
         with contextlib.suppress(OSError, termios.error):  # disconnected: detected by the next read
             if self._port is not None:
                 self._port.reset_input_buffer()
@@ -165,14 +178,11 @@ class SerialSensor(Device):
     def _read(self, timeout: float) -> bytes:
         """The first bytes received within a time [s]."""
         assert self._port is not None
-        ready, _, _ = select.select((self._port.fileno(), self.woken), (), (), timeout)
+        if timeout:
+            select.select((self._port.fileno(),), (), (), timeout)
         # A kernel worker of low priority delivers a terminal's bytes; on a busy computer ``select`` waits for it beyond
         # its own timeout.
         now = time.monotonic()
         self._away, self._looked = max(0.0, now - self._looked - _WAIT), now
-        if self.woken in ready:
-            self.drain_wake()
-        if self._port.fileno() not in ready:
-            return b""
         data: bytes = self._port.read(_READ)
         return data
