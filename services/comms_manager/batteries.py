@@ -16,6 +16,7 @@ from valor.robot.description import RobotDescription
 from valor.service import Context
 
 NAME = "batteries"
+EVERY = 20_000_000  # period of counting [ns]
 PERIOD = 1_000_000_000  # of reports [ns]
 TIME_CONSTANT = 300.0  # in which an error of the charge decreases by a factor of e, if that of the voltage is right [s]
 MORE = 0.02  # hysteresis of the share of charge
@@ -47,7 +48,9 @@ class BatteryMonitor(Watched):
         return f"{NAME}: {self.unit_faults[0].detail}" if self.unit_faults else ""
 
     def update(self, state: Proprioceptor) -> None:
-        """Process the measurements of a control period."""
+        """Process the measurements of a control period, in most of which nothing is due."""
+        if 0 < state.time - self._time < EVERY:
+            return
         table, voltage, record = self._table, state.battery_voltage, self.records[0]
         current = table.power(state.joint_effort, state.joint_velocity, self._limit) / max(voltage, 1.0)
         by_voltage = table.share(voltage, current)

@@ -13,7 +13,6 @@ from valor.comms_manager.hardware.device import (
     DeviceContext,
     DeviceError,
     Fault,
-    IntVector,
     JointCommands,
     JointMeasurement,
     UnitFault,
@@ -69,10 +68,11 @@ class SeriesElastic(CanDevice):
         self._names = table.joints
         calibration = robot.tables.calibration
         self._offset = np.array([calibration.offsets.get(joint, 0.0) for joint in self._names])
-        self._step_limit = 2.0 * robot.velocity_limit[self.joints]
-        self._stamp: IntVector = np.zeros(m, dtype=np.int64)
-        self._encoder, self._velocity, self._effort = np.zeros(m), np.zeros(m), np.zeros(m)
-        self._raw = np.zeros(m)  # encoder values, plausible or not
+        # Lists, whose elements are faster than an array's.
+        self._step_limit = (2.0 * robot.velocity_limit[self.joints]).tolist()
+        self._stamp = [0] * m
+        self._encoder, self._velocity, self._effort = [0.0] * m, [0.0] * m, [0.0] * m
+        self._raw = [0.0] * m  # encoder values, plausible or not
         self._commands = np.zeros(len(self._controllers), dtype=can_frames.COMMAND_TYPE)
         # Views of (controllers, axes), and the index of each joint in them.
         axes = self._commands["axis"]
@@ -173,7 +173,7 @@ class SeriesElastic(CanDevice):
 
     def _provide(self) -> None:
         self.joint_state = JointMeasurement(
-            self._stamp.copy(), self._encoder - self._offset, self._velocity.copy(), self._effort.copy()
+            np.array(self._stamp), self._encoder - self._offset, np.array(self._velocity), np.array(self._effort)
         )
 
     def _send_command(self) -> None:
