@@ -22,16 +22,17 @@ from valor.robot.description import RobotDescription
 _TOLERANCE = 1e-6  # of periods [s]
 _LONGEST = 0.5  # period [s]; more is a frequency
 _BEYOND = 0.05  # default positions may be outside limits by this [rad]
+_GAINS = ("stiffness", "damping")
 _ACTIONS = ("action", "actions", "continuous_actions")  # names of outputs
 Outputs = dict[str, tuple[str, npt.NDArray[np.intp]]]
 
 
 class PolicyError(SeveralFaultsError):
-    """A policy that is rejected: one line for each problem; ``facts`` is what is known about it."""
+    """A policy that is rejected: one line for each problem; ``convention`` and ``facts`` as of its contract."""
 
-    def __init__(self, faults: Iterable[ConfigurationError], facts: Mapping[str, Fact]) -> None:
+    def __init__(self, faults: Iterable[ConfigurationError], contract: Contract) -> None:
         super().__init__(faults)
-        self.facts = facts
+        self.convention, self.facts = contract.convention, contract.facts
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,15 @@ def sidecar_of(file: Path) -> Path:
     return file.with_suffix(".user.yaml") if found is not None and found[0] == named else named
 
 
+def files_of(file: Path, target: Path) -> dict[Path, Path]:
+    """Files of a policy, which may be missing, and what they are named next to ``target``, a copy of it."""
+    found = exported.find(file)
+    named = {} if found is None else {found[0]: target.with_suffix(f".{found[1]}.yaml")}
+    beside = [*file.parent.glob(f"{file.stem}*.data"), *file.parent.glob("*_initial_values.safetensors")]
+    named |= {each: target.with_name(each.name) for each in beside}
+    return {file: target, sidecar_of(file): target.with_suffix(".yaml"), **named}
+
+
 def load(file: Path, robot: RobotDescription) -> Contract:
     """Read a policy for a robot. Raises ConfigurationError; PolicyError names all that is missing or wrong."""
     model = ModelFile(file)
@@ -81,18 +91,14 @@ def load(file: Path, robot: RobotDescription) -> Contract:
         where = file if found is None else found[0]
         raise ConfigurationError(f"{where}: {error!r}; expected values as its exporter writes them") from error
     if reading.problems:
-        raise PolicyError(reading.errors(file, sidecar), contract.facts)
+        raise PolicyError(reading.errors(file, sidecar), contract)
     return contract
 
 
 def _read(model: ModelFile, found: tuple[Path, str] | None) -> Reading:
     if found is not None:
         return exported.read(*found)
-    if metadata.is_json(model.metadata):
-        return metadata.holosoma(model.metadata)
-    if metadata.is_csv(model.metadata):
-        return metadata.csv(model.metadata)
-    return Reading("none; the sidecar states all")
+    return metadata.read(model.metadata) or Reading("none; the sidecar states all")
 
 
 class _Assembly:
@@ -113,11 +119,7 @@ class _Assembly:
         relative = isinstance(offset, str)
         uses = [term.term for term in value("observation") or ()]
         zero = self._per_joint("default_position", needed=(acts and relative) or "joint_position_relative" in uses)
-        self._require_within_limits(zero)
-        gains = [self._per_joint(role, needed=role not in outputs) for role in ("stiffness", "damping")]
-        for role, values in zip(("stiffness", "damping"), gains, strict=True):
-            for i in np.flatnonzero(values < 0):
-                self._reject(f"{role} of {names[i]}", f"{values[i]:g}", "at least 0")
+        gains = [self._per_joint(role, needed=role not in outputs) for role in _GAINS]
         if value("gait") is None and any(name.startswith("gait_") for name in uses):
             self._reject("gait", "unknown", "the period of the feet's phases")
         free = [name for name in self._model.inputs if name not in {*feedback, *constants}]
@@ -147,7 +149,8 @@ class _Assembly:
             if len(names) <= max(motors):
                 self._reject("joints", f"{len(names)} names", f"{max(motors) + 1}, all motors in their order")
             names = [names[i] if i < len(names) else f"motor {i}" for i in motors]
-        for name in sorted({name for name in names if names.count(name) > 1}):
+        renamed = [self._rename.get(name, name) for name in names]
+        for name in sorted({name for name in renamed if renamed.count(name) > 1}):
             self._reject(f"joints {name}", "twice", "each joint once")
         for name in self._rename:
             if name not in names:
@@ -161,9 +164,8 @@ class _Assembly:
             if name not in self._robot.index:
                 near = difflib.get_close_matches(name, self._robot.joints, n=1, cutoff=0.4)
                 like = f" (similar: {near[0]})" if near else ""
-                self._reject(
-                    f"joint_names {name}", f"in {fact}, no joint of {self._robot.name}", f"its name there{like}"
-                )
+                where = f"in {fact}, no joint of {self._robot.name}"
+                self._reject(f"joint_names {name}", where, f"its name there{like}")
         return found
 
     def _per_joint(self, fact: str, *, needed: bool) -> FloatArray:
@@ -177,26 +179,24 @@ class _Assembly:
             for name in sorted(set(names) ^ set(value)):
                 self._reject(f"{fact} of {name}", value.get(name, "unknown"), "a number for each joint of the policy")
             value = [value.get(name, 0.0) for name in names]
-        try:
-            found = np.array(value, float)
-        except (TypeError, ValueError):
-            self._reject(fact, repr(value), "numbers")
-            return np.zeros(len(names))
+        found = np.array(value, float)
         if found.ndim and found.shape != (len(names),):
             self._reject(fact, f"{found.size} values", f"{len(names)}, one for each of joints")
             return np.zeros(len(names))
-        for i in np.flatnonzero(~np.isfinite(np.broadcast_to(found, len(names)))):
-            self._reject(f"{fact} of {names[i]}", "not finite", "a number")
-        return np.broadcast_to(found, len(names))
+        found = np.broadcast_to(found, len(names))
+        lowest, highest = self._limits(fact)
+        for i in np.flatnonzero(~((found >= lowest) & (found <= highest) & np.isfinite(found))):
+            limits = f"a number from {lowest[i]:.3g} to {highest[i]:.3g}, {self._robot.name}'s limits"
+            self._reject(f"{fact} of {names[i]}", f"{found[i]:g}", limits)
+        return found
 
-    def _require_within_limits(self, zero: FloatArray) -> None:
-        robot = self._robot
-        for name, each in zip(self._names, zero, strict=True):
-            if (i := robot.index.get(self._rename.get(name, name))) is not None:
-                lower, upper = robot.lower[i], robot.upper[i]
-                if self._value("default_position") is not None and not lower - _BEYOND <= each <= upper + _BEYOND:
-                    limits = f"{lower:.3g} to {upper:.3g} rad, {robot.name}'s limits"
-                    self._reject(f"default_position of {name}", f"{each:g}", limits)
+    def _limits(self, fact: str) -> FloatArray:
+        """Return (2, m) limits of a fact's values: of positions the robot's [rad], of gains 0."""
+        limits = np.array([[0.0 if fact in _GAINS else -np.inf, np.inf]] * len(self._names)).T
+        for i, name in enumerate(self._names if fact == "default_position" else ()):
+            if (joint := self._robot.index.get(self._rename.get(name, name))) is not None:
+                limits[:, i] = self._robot.lower[joint] - _BEYOND, self._robot.upper[joint] + _BEYOND
+        return limits
 
     def _period(self) -> float:
         period, tick = self._value("period"), self._robot.control_period
@@ -218,13 +218,10 @@ class _Assembly:
         return np.broadcast_to(found.T, (2, count))
 
     def _ranges(self) -> FloatArray:
-        found = np.array([[-np.inf] * 3, [np.inf] * 3])
-        for i, name in enumerate(("vx", "vy", "wz")):
-            if (bounds := (self._value("command_ranges") or {}).get(name)) is not None:
-                if np.shape(bounds) != (2,) or not bounds[0] <= bounds[1]:
-                    self._reject(f"command_ranges.{name}", repr(bounds), "[least, largest]")
-                else:
-                    found[:, i] = bounds
+        stated = self._value("command_ranges") or {}
+        found = np.array([stated.get(name) or (-np.inf, np.inf) for name in ("vx", "vy", "wz")], float).T
+        if not np.all(found[0] <= found[1]):
+            self._reject("command_ranges", stated, "[least, largest] of each")
         return found
 
     def _connections(self) -> tuple[dict[str, str], dict[str, FloatArray]]:
@@ -275,22 +272,17 @@ class _Assembly:
         stated: tuple[TermFact, ...] = self._value("observation") or ()
         if not stated:
             self._reject("observation", "unknown", f"terms in the order of the input, of {', '.join(TERMS)}")
+        for each in stated:
+            if each.term not in TERMS:
+                self._reject(f"observation {each.name or each.term}", "not known here", f"terms of {', '.join(TERMS)}")
         before = len(self._reading.problems)
-        terms = tuple(self._bind(each, zero, free) for each in stated if self._is_known(each))
-        for name in free if stated and len(self._reading.problems) == before else ():
-            parts = {term.name: term.size * term.history for term in terms if term.input == name}
-            size = sum(term.size * term.history for term in terms if term.input == name)
-            if size != self._model.inputs[name].size:
-                sizes = ", ".join(f"{term} {each}" for term, each in parts.items())
-                found = f"{size} numbers ({sizes or 'no terms'})"
+        terms = tuple(self._bind(each, zero, free) for each in stated if each.term in TERMS)
+        for name in free if len(terms) == len(stated) > 0 and len(self._reading.problems) == before else ():
+            parts = [(term.name, term.size * term.history) for term in terms if term.input == name]
+            if (size := sum(each for _, each in parts)) != self._model.inputs[name].size:
+                found = f"{size} numbers ({', '.join(f'{term} {each}' for term, each in parts) or 'no terms'})"
                 self._reject("observation", found, f"{self._model.inputs[name].size}, the size of input {name!r}")
         return terms
-
-    def _is_known(self, stated: TermFact) -> bool:
-        if stated.term not in TERMS:
-            known = ", ".join(TERMS)
-            self._reject(f"observation {stated.name or stated.term}", "not known here", f"terms out of {known}")
-        return stated.term in TERMS
 
     def _bind(self, stated: TermFact, zero: Mapping[str, float], free: list[str]) -> Term:
         about, names = f"observation {stated.name or stated.term}", stated.joints or self._names

@@ -9,40 +9,32 @@ from typing import Any
 from valor.policies.facts import Reading, Source, TermFact
 
 _CSV = {
-    "joint_names": "joints",
-    "default_joint_pos": "default_position",
-    "joint_stiffness": "stiffness",
-    "joint_damping": "damping",
-    "action_scale": "action_scale",
-}
-_JSON = {"dof_names": "joints", "kp": "stiffness", "kd": "damping", "action_scale": "action_scale"}
-_TERMS = {  # joint positions are relative to the default position under both names
-    "base_lin_vel": "base_linear_velocity",
-    "base_ang_vel": "base_angular_velocity",
-    "projected_gravity": "projected_gravity",
-    "joint_pos": "joint_position_relative",
-    "joint_pos_rel": "joint_position_relative",
-    "joint_positions": "joint_position_relative",
-    "joint_vel": "joint_velocity",
-    "joint_vel_rel": "joint_velocity",
-    "joint_velocities": "joint_velocity",
-    "actions": "last_action",
-    "last_action": "last_action",
-}
+    "joint_names": "joints", "default_joint_pos": "default_position", "joint_stiffness": "stiffness",
+    "joint_damping": "damping", "action_scale": "action_scale",
+}  # fmt: skip
+_JSON = {
+    "dof_names": "joints", "kp": "stiffness", "kd": "damping", "action_scale": "action_scale",
+    "command_ranges": "command_ranges",
+}  # fmt: skip
+TERMS = {  # joint positions are relative to the default position
+    "base_lin_vel": "base_linear_velocity", "base_ang_vel": "base_angular_velocity",
+    "projected_gravity": "projected_gravity", "joint_pos": "joint_position_relative",
+    "joint_pos_rel": "joint_position_relative", "joint_positions": "joint_position_relative",
+    "joint_vel": "joint_velocity", "joint_vel_rel": "joint_velocity", "joint_velocities": "joint_velocity",
+    "actions": "last_action", "last_action": "last_action",
+}  # fmt: skip
 # The command's term, which may also be of a motion, and the commands that are velocities.
 _COMMAND = ("command", "commands", "velocity_commands", "generated_commands")
 _VELOCITIES = ("twist", "base_velocity", "velocity")
 _RANGES = {"lin_vel_x": "vx", "lin_vel_y": "vy", "ang_vel_yaw": "wz", "ang_vel_z": "wz"}
 
 
-def is_csv(metadata: Mapping[str, str]) -> bool:
-    """True if the metadata are comma-separated."""
-    return not metadata.keys().isdisjoint(("joint_names", "joint_stiffness", "observation_names"))
-
-
-def is_json(metadata: Mapping[str, str]) -> bool:
-    """True if the metadata are holosoma's."""
-    return not metadata.keys().isdisjoint(("dof_names", "kp"))
+def read(metadata: Mapping[str, str]) -> Reading | None:
+    """Read what the metadata state; None if they are of no convention."""
+    if not metadata.keys().isdisjoint(("dof_names", "kp")):
+        return _holosoma(metadata)
+    named = metadata.keys().isdisjoint(("joint_names", "joint_stiffness", "observation_names"))
+    return None if named else _csv(metadata)
 
 
 def ranges(found: Any) -> dict[str, Any] | None:
@@ -51,7 +43,7 @@ def ranges(found: Any) -> dict[str, Any] | None:
     return {ours: known[name] for name, ours in _RANGES.items() if known.get(name) is not None} or None
 
 
-def csv(metadata: Mapping[str, str]) -> Reading:
+def _csv(metadata: Mapping[str, str]) -> Reading:
     """Read comma-separated values. They state no period, no order of history and no order of quaternions."""
     reading = Reading("metadata, comma-separated (mjlab, BeyondMimic, legged_control2)")
 
@@ -86,7 +78,7 @@ def csv(metadata: Mapping[str, str]) -> Reading:
         velocity = name in _COMMAND and len(commands) == 1 and commands[0] in _VELOCITIES
         terms.append(
             TermFact(
-                term="velocity_command" if velocity else _TERMS.get(name, ""),
+                term="velocity_command" if velocity else TERMS.get(name, ""),
                 name=f"{name} ({', '.join(commands)})" if name in _COMMAND else name,
                 scale=1.0 if scale is None else scale[0] if len(scale) == 1 else scale,
                 clip=None if clip in {None, (-float("inf"), float("inf"))} else (clip[0], clip[-1]),
@@ -102,10 +94,10 @@ def _numbers(text: str) -> tuple[float, ...]:
     return tuple(float(part) for part in text.split(";"))
 
 
-def holosoma(metadata: Mapping[str, str]) -> Reading:
+def _holosoma(metadata: Mapping[str, str]) -> Reading:
     """Read JSON values. They state no period, observation (in holosoma sorted by name) or default position."""
     reading = Reading("holosoma")
-    for key, fact in {**_JSON, "command_ranges": "command_ranges"}.items():
+    for key, fact in _JSON.items():
         if key in metadata:
             try:
                 value = json.loads(metadata[key])

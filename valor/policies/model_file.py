@@ -17,15 +17,13 @@ from valor.common.errors import ConfigurationError
 MAX_BYTES = 100 << 20
 _INSTALL = "pip install 'valor[policies]'"
 _TYPES: dict[str, Any] = {"tensor(float)": np.float32, "tensor(double)": np.float64, "tensor(int64)": np.int64}
-# Words of ONNX Runtime's messages, and what is wrong then.
-_CAUSES = (
-    ("protobuf parsing failed", "is not an ONNX file", "a model exported as ONNX"),
-    ("no graph", "is not an ONNX file", "a model exported as ONNX"),
-    ("opset", "needs operators that ONNX Runtime {version} does not have", "an export with an older opset"),
-    ("not a registered function/op", "needs operators that ONNX Runtime {version} does not have", "standard operators"),
-    ("ir version", "has a format newer than ONNX Runtime {version}", "an older export, or a newer onnxruntime"),
-    ("external", "its external data are missing or invalid", "the data file next to it, or an export in one file"),
-)
+# Words of ONNX Runtime's messages, what is wrong then, and what is expected.
+_CAUSES = {
+    "protobuf parsing failed": ("is not an ONNX file", "a model exported as ONNX"),
+    "no graph": ("is not an ONNX file", "a model exported as ONNX"),
+    "opset": ("has an opset that ONNX Runtime does not support", "an export with an older opset"),
+    "external": ("its external data are missing or invalid", "the data file next to it, or an export in one file"),
+}
 
 
 @dataclass(frozen=True)
@@ -43,18 +41,8 @@ class Tensor:
 
 
 def _tensors(found: Any) -> dict[str, Tensor]:
-    return {
-        each.name: Tensor(each.name, tuple(n if isinstance(n, int) else 1 for n in each.shape), _TYPES.get(each.type))
-        for each in found
-    }
-
-
-def _runtime() -> Any:
-    try:
-        import onnxruntime
-    except ImportError:
-        raise ConfigurationError(f"onnxruntime is not installed here; expected by policies: {_INSTALL}") from None
-    return onnxruntime
+    shapes = {each.name: tuple(n if isinstance(n, int) else 1 for n in each.shape) for each in found}
+    return {each.name: Tensor(each.name, shapes[each.name], _TYPES.get(each.type)) for each in found}
 
 
 class ModelFile:
@@ -71,17 +59,19 @@ class ModelFile:
             raise ConfigurationError(f"{file}: is no regular file; expected an ONNX file")
         beside = (each for each in file.parent.glob(f"{file.stem}*.data") if each.is_file())  # external data
         if (size := found.st_size + sum(each.stat().st_size for each in beside)) > MAX_BYTES:
-            raise ConfigurationError(
-                f"{file}: has {size >> 20} MiB; expected a policy of at most {MAX_BYTES >> 20} MiB"
-            )
-        runtime = _runtime()
+            what = f"has {size >> 20} MiB; expected a policy of at most {MAX_BYTES >> 20} MiB"
+            raise ConfigurationError(f"{file}: {what}")
+        try:
+            import onnxruntime as runtime
+        except ImportError:
+            raise ConfigurationError(f"{file}: onnxruntime is not installed here: {_INSTALL}") from None
         options = runtime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         options.log_severity_level = 4  # it writes no lines of its own
         try:
             self._session = runtime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
         except Exception as error:
-            raise self._cause(error, runtime.__version__) from None
+            raise self._cause(error) from None
         self.inputs = _tensors(self._session.get_inputs())
         self.outputs = _tensors(self._session.get_outputs())
         self.metadata: dict[str, str] = dict(self._session.get_modelmeta().custom_metadata_map)
@@ -106,12 +96,10 @@ class ModelFile:
                 what = f"output {name!r} is not finite for inputs of zero"
                 raise ConfigurationError(f"{self.file}: {what}; expected weights without NaN and infinity")
 
-    def _cause(self, error: Exception, version: str) -> ConfigurationError:
-        text = str(error).lower()
-        for word, what, expected in _CAUSES:
-            if word in text:
-                return ConfigurationError(f"{self.file}: {what.format(version=version)}; expected {expected}")
-        return ConfigurationError(f"{self.file}: ONNX Runtime rejects it ({_line(error)}); expected a valid ONNX file")
+    def _cause(self, error: Exception) -> ConfigurationError:
+        text, otherwise = str(error).lower(), (f"ONNX Runtime rejects it ({_line(error)})", "a valid ONNX file")
+        what, expected = next((cause for word, cause in _CAUSES.items() if word in text), otherwise)
+        return ConfigurationError(f"{self.file}: {what}; expected {expected}")
 
 
 def _line(error: Exception) -> str:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from valor.common.arrays import FloatArray
 from valor.policies.observations import Senses
 from valor.policies.policy import Policy
 from valor.robot.description import RobotDescription
@@ -22,32 +21,27 @@ class Trial:
     p99: float  # [s]
 
 
-def senses(robot: RobotDescription, ranges: FloatArray, random: np.random.Generator, now: float) -> Senses:
-    """Return a random state: joints within limits, tilt of some 0.2 rad, commands within (2, 3) ``ranges``."""
-    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
-    attitude = np.append(1.0, random.normal(0.0, 0.1, 3))
-    return Senses(
-        now,
-        random.uniform(lower, upper),
-        random.normal(0.0, 0.1, len(lower)) * np.minimum(robot.velocity_limit, 20.0),
-        attitude / np.linalg.norm(attitude),
-        random.normal(0.0, 0.3, 3),
-        random.normal(0.0, 0.3, 3),
-        np.asarray(random.uniform(*np.clip(ranges, -1.0, 1.0))),
-    )
-
-
 def run(policy: Policy, robot: RobotDescription, acts: int = 100) -> Trial:
-    """Let a policy act on random states, the same ones each time."""
+    """Let a policy act on random states, the same ones each time: joints within limits, tilts of some 0.2 rad."""
     random, times, finite, inside = np.random.default_rng(0), [], True, []
-    lower, upper = robot.lower[policy.indices], robot.upper[policy.indices]
+    lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     policy.reset()
     for i in range(acts):
-        state = senses(robot, policy.contract.command_ranges, random, i * policy.contract.period)
+        attitude = np.append(1.0, random.normal(0.0, 0.1, 3))
+        state = Senses(
+            i * policy.contract.period,
+            random.uniform(lower, upper),
+            random.normal(0.0, 0.1, len(lower)) * np.minimum(robot.velocity_limit, 20.0),
+            attitude / np.linalg.norm(attitude),
+            random.normal(0.0, 0.3, 3),
+            random.normal(0.0, 0.3, 3),
+            np.asarray(random.uniform(*np.clip(policy.contract.command_ranges, -1.0, 1.0))),
+        )
         start = time.perf_counter()
         targets = policy.act(state)
         times.append(time.perf_counter() - start)
         given = (targets.position, targets.stiffness, targets.damping, targets.velocity, targets.effort)
         finite = finite and all(bool(np.isfinite(each).all()) for each in given if each is not None)
-        inside.append(np.mean((targets.position >= lower) & (targets.position <= upper)))
+        at = policy.indices
+        inside.append(np.mean((targets.position >= robot.lower[at]) & (targets.position <= robot.upper[at])))
     return Trial(acts, finite, float(np.mean(inside)), *map(float, np.percentile(times, (50, 99))))

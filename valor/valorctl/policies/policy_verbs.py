@@ -17,12 +17,17 @@ from valor.valorctl.terminal.options import Json, OptionalRobot, Robot
 
 if TYPE_CHECKING:
     from valor.policies.contract import Contract
-    from valor.policies.facts import Fact
+    from valor.robot.description import RobotDescription
 
 policy = typer.Typer(
     name="policy", help="Add, list and check robots' trained policies.", no_args_is_help=True, rich_markup_mode=None
 )
-Force = Annotated[bool, typer.Option("--force", help="Replace an existing policy.")]
+Named = Annotated[
+    str,
+    typer.Argument(
+        metavar="POLICY", help="A name from `policy list`, or an ONNX file.", autocompletion=completion.policies
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -36,26 +41,20 @@ def add(
     *,
     robot: Robot = "escher",
     name: Annotated[str | None, typer.Option(help="Name of the policy. [default: the file's]")] = None,
-    force: Force = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing policy.")] = False,
 ) -> None:
     """Check a policy and copy it, its sidecar and its exporter's files into a robot's folder."""
     from valor.common import whole_file
-    from valor.policies import exported
-    from valor.policies.contract import sidecar_of
+    from valor.policies.contract import files_of
 
     file = file.expanduser()
-    _shown(file, robot)
+    _load(file, _described(robot), shown=True)
     target = robot_folder(robot) / "policies" / f"{name or file.stem}.onnx"
     if target.exists() and not force:
         raise ConfigurationError(f"{target}: exists; expected another --name, or --force to replace it")
-    copies = {file: target, sidecar_of(file): target.with_suffix(".yaml")}
-    if (found := exported.find(file)) is not None:
-        copies[found[0]] = target.with_suffix(f".{found[1]}.yaml")
-    beside = [*file.parent.glob(f"{file.stem}*.data"), *file.parent.glob("*_initial_values.safetensors")]
-    copies |= {each: target.with_name(each.name) for each in beside}
     try:
         target.parent.mkdir(exist_ok=True)
-        for source, copy in copies.items():
+        for source, copy in files_of(file, target).items():
             if source.is_file() and source.resolve() != copy.resolve():
                 whole_file.write(copy, source.read_bytes())
     except OSError as error:
@@ -66,106 +65,90 @@ def add(
 @policy.command("list")
 def list_policies(robot: OptionalRobot = None, json: Json = False) -> None:
     """List policies of a robot, or of all, and what is wrong with them."""
-    from valor.policies import contract
-    from valor.robot.description import RobotDescription
-
     rows: list[dict[str, Any]] = []
     for named in [robot] if robot else robots():
-        described = RobotDescription.load(robot_folder(named))
         for file in policies(named):
-            row: dict[str, Any] = {"robot": named, "policy": file.stem}
+            row: dict[str, Any] = {
+                "robot": named,
+                "policy": file.stem,
+                "convention": "–",
+                "joints": 0,
+                "period": 0.0,
+                "rejected": [],
+            }
             try:
-                found = contract.load(file, described)
+                found = _load(file, _described(named), shown=False)
                 row |= {"convention": found.convention, "joints": len(found.joints), "period": found.period}
             except ConfigurationError as error:
                 row["rejected"] = str(error).splitlines()
             rows.append(row)
     if json:
         say_json(rows)
-        return
-    shown = table("robot", "policy", "convention", "joints", "period [ms]", "", numbers=("joints", "period [ms]"))
-    for row in rows:
-        faults = f"rejected: {len(row['rejected'])} problems; `policy check` names them" if "rejected" in row else ""
-        period = f"{row['period'] * 1e3:g}" if "period" in row else "–"
-        cells = [str(row.get(key, "–")) for key in ("robot", "policy", "convention", "joints")]
-        shown.add_row(*cells, period, faults)
-    rich_console().print(shown) if rows else say("no policies; `valorctl policy add` adds one")
+    elif not rows:
+        say("no policies; `valorctl policy add` adds one")
+    else:
+        shown = table("robot", "policy", "convention", "joints", "period [s]", "", numbers=("joints", "period [s]"))
+        for row in rows:
+            faults = f"rejected: {len(row['rejected'])} problems; `policy check` names them" if row["rejected"] else ""
+            shown.add_row(*(str(value) for value in [*row.values()][:-1]), faults)
+        rich_console().print(shown)
 
 
 @policy.command()
-def check(
-    named: Annotated[
-        str,
-        typer.Argument(
-            metavar="POLICY", help="A name from `policy list`, or an ONNX file.", autocompletion=completion.policies
-        ),
-    ],
-    *,
-    robot: Robot = "escher",
-    json: Json = False,
-) -> None:
+def check(named: Named, *, robot: Robot = "escher", json: Json = False) -> None:
     """Show every fact about a policy with its source, and let it act on 100 random states."""
+    import msgspec
+
     from valor.policies import trial
     from valor.policies.policy import Policy
-    from valor.robot.description import RobotDescription
 
     known = {file.stem: file for file in policies(robot)}
     file = known.get(named, Path(named).expanduser())
     if named not in known and not file.is_file():
         raise ConfigurationError(f"policy {expected(named, known, 'an ONNX file, or ')}")
-    described = RobotDescription.load(robot_folder(robot))
-    contract = _shown(file, robot, json=json)
+    described = _described(robot)
+    contract = _load(file, described, shown=not json)
     result = trial.run(Policy(contract, described), described)
     if json:
-        say_json({"policy": str(file), "facts": _plain(contract.facts), "trial": asdict(result)})
+        say_json({"policy": str(file), "facts": msgspec.to_builtins(contract.facts), "trial": asdict(result)})
     else:
-        size = f"{file.stat().st_size / 1e3:.0f} kB"
         times = f"{result.median * 1e3:.2f} ms median, {result.p99 * 1e3:.2f} ms p99 of {contract.period * 1e3:g} ms"
         within = f"{result.within:.0%} of targets within {described.name}'s limits"
-        say(f"{size}; {result.acts} acts on random states: {times}; {within}")
+        say(f"{file.stat().st_size / 1e3:.0f} kB; {result.acts} acts on random states: {times}; {within}")
     if not result.finite:
         raise ValorError(f"{named}: targets are not finite on random states; expected finite numbers")
 
 
-def _shown(file: Path, robot: str, *, json: bool = False) -> Contract:
-    """Load a policy and print all facts about it, also if it is rejected."""
-    from valor.policies.contract import PolicyError, load
+def _described(robot: str) -> RobotDescription:
     from valor.robot.description import RobotDescription
 
+    return RobotDescription.load(robot_folder(robot))
+
+
+def _load(file: Path, robot: RobotDescription, *, shown: bool) -> Contract:
+    """Load a policy; print all facts about it, also if it is rejected."""
+    from valor.policies.contract import PolicyError, load
+
+    known: Contract | PolicyError | None = None
     try:
-        contract = load(file, RobotDescription.load(robot_folder(robot)))
+        known = load(file, robot)
     except PolicyError as error:
-        if not json:
-            _print(error.facts)
+        known = error
         raise
-    if not json:
-        say(f"convention: {contract.convention}")
-        _print(contract.facts)
-    return contract
-
-
-def _print(facts: Mapping[str, Fact]) -> None:
-    shown = table("fact", "value", "source", "")
-    for name, fact in facts.items():
-        shown.add_row(name, _text(fact.value), fact.source, fact.where)
-    rich_console().print(shown, markup=False)
+    finally:
+        if shown and known is not None:
+            rows = table("fact", "value", "source", "")
+            for name, fact in known.facts.items():
+                rows.add_row(name, _text(fact.value), fact.source, fact.where)
+            say(f"convention: {known.convention}")
+            rich_console().print(rows, markup=False)
+    return known
 
 
 def _text(value: Any) -> str:
-    if value is None:
-        return "–"
     if isinstance(value, Mapping):
         return ", ".join(f"{name}: {_text(each)}" for name, each in value.items())
     if isinstance(value, (list, tuple)):
         texts = [_text(each) for each in value]
         return f"{len(texts)} × {texts[0]}" if len(texts) > 1 and len(set(texts)) == 1 else ", ".join(texts)
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return str(value)
-
-
-def _plain(facts: Mapping[str, Fact]) -> dict[str, Any]:
-    import msgspec
-
-    plain: dict[str, Any] = msgspec.to_builtins({name: asdict(fact) for name, fact in facts.items()})
-    return plain
+    return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
