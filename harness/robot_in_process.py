@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
 from valor.common.messages import BehaviorRequest, Motor, Proprioceptor
+from valor.control.controller import ControllerFactory
 from valor.motion_manager.handlers.behavior import BehaviorHandler
 from valor.motion_manager.manager import MotionManager
 from valor.robot.description import RobotDescription
@@ -33,9 +34,16 @@ class RobotInProcess:
     measured: Proprioceptor
     motor: Motor
 
-    def __init__(self, robot: RobotDescription, profile: str, seed: int, world: str = "flat") -> None:
+    def __init__(
+        self,
+        robot: RobotDescription,
+        profile: str,
+        seed: int,
+        world: str = "flat",
+        others: Sequence[ControllerFactory] = (),
+    ) -> None:
         self.plant = Plant(robot, world, profile, seed)
-        self.manager = MotionManager(robot, controller_model(robot))
+        self.manager = MotionManager(robot, controller_model(robot), others)
         self.peak: FloatArray = np.zeros(len(robot.joints))
         self._sensors = Sensors(robot, self.plant, robot.tables.actuators[profile].noise, seed)
         self._period = robot.control_period

@@ -6,6 +6,7 @@ import numpy as np
 
 from valor.common.behaviors import NOTHING_TO_LEAD, Manipulation
 from valor.common.messages import MotionState
+from valor.control.controller import ControllerFactory
 from valor.control.estimation.estimator import FloatingBaseEstimator
 from valor.control.fall import FallDetector
 from valor.control.motor_command import MotorCommand
@@ -21,12 +22,13 @@ from valor.motion_manager.joints.servos import JointGains, ServoCompensation
 from valor.motion_manager.joints.upper_body import UpperBody
 from valor.motion_manager.locomotion.balance import BalanceControl
 from valor.motion_manager.locomotion.driver import Drivers
+from valor.motion_manager.locomotion.exchange import ControllerExchange
 from valor.motion_manager.locomotion.get_up import GetUp
 from valor.motion_manager.locomotion.posture_control import AT_REST, PostureControl
 from valor.motion_manager.safety import ControlAuthority, DeviceReactions, Stance
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
-from valor.whole_body.command import QpStatus
+from valor.whole_body.command import QpStatus, WholeBodyCommand
 from valor.whole_body.controller import WholeBodyController
 from valor.whole_body.walking.footsteps import StepQueue
 from valor.whole_body.walking.gait import sole_poses
@@ -38,7 +40,8 @@ _ZEROS = np.zeros(6)
 class Components:
     """The components, and the robot state that they share."""
 
-    def __init__(self, robot: RobotDescription, model: Model) -> None:
+    def __init__(self, robot: RobotDescription, model: Model, others: Sequence[ControllerFactory] = ()) -> None:
+        """``others``: controllers beside the Whole-Body Controller."""
         self.robot = robot
         self.time = 0  # robot time of the latest Proprioceptor [ns]
         self.state: RobotState | None = None  # its estimate; None before the first
@@ -47,10 +50,13 @@ class Components:
         self.rejections = RejectionCounter()
         self.estimator = FloatingBaseEstimator(robot, model)
         self.detector = FallDetector(robot)
-        self.controller = WholeBodyController(robot, self.estimator.kinematics)
+        self.whole_body = WholeBodyController(robot, self.estimator.kinematics)
         self.stance = Stance(robot, self.estimator.kinematics.mass * self.estimator.kinematics.gravity)
+        self.exchange = ControllerExchange(
+            robot, self.whole_body, (make(robot, self.estimator.kinematics) for make in others), self.stance.not_loaded
+        )
         self.authority = ControlAuthority(self.fsm, self.stance, self._swings)
-        self.device_reactions = DeviceReactions(self.fsm, lambda: not self.controller.at_rest)
+        self.device_reactions = DeviceReactions(self.fsm, lambda: not self.exchange.at_rest)
         self.command = MotorCommand(robot)
         self.reference = JointReference(robot)
         self.gains = JointGains(robot, self.command.impedance)
@@ -77,7 +83,7 @@ class Components:
             self.drivers.not_prepared(state, self.time * 1e-9),
             self.stance.not_loaded(state),
             self.stance.not_upright(state) or self.falling,
-            "the robot has not come to rest from stepping yet" if not self.controller.at_rest else "",
+            "the robot has not come to rest from stepping yet" if not self.exchange.at_rest else "",
             self.get_up.rejection(state),
             "" if self.upper_body.joints[Manipulation].any() else NOTHING_TO_LEAD,
         )
@@ -99,11 +105,12 @@ class Components:
 
     def report(self, proprioceptor_sequence: int, *, motor_time: float, tick_time: float) -> MotionState:
         """State of the Motion Manager after a period; for the times see ``MotionState`` [s]."""
-        fsm, state, command, pelvis = self.fsm, self.state, self.balance.command, self.controller.pelvis
-        # Without a command, the DCM is its own reference.
+        fsm, state, command, pelvis = self.fsm, self.state, self.balance.command, self.whole_body.pelvis
+        planned = command if isinstance(command, WholeBodyCommand) else None
+        # Without a plan, the DCM is its own reference.
         dcm_reference = state.dcm_in_odom if state else _ZEROS[:3]
-        if command is not None:
-            dcm_reference = command.dcm_reference_in_odom
+        if planned is not None:
+            dcm_reference = planned.dcm_reference_in_odom
         return MotionState(
             time=self.time,
             proprioceptor_sequence=proprioceptor_sequence,
@@ -132,9 +139,9 @@ class Components:
             joint_setpoint=self.command.wanted,
             pelvis_setpoint=pelvis.position,
             pelvis_in_support=pelvis.measured(state) if state else _ZEROS,
-            desired_foot_forces=command.desired_foot_forces if command else _ZEROS[:2],
-            qp_status=int(command.qp_status if command else QpStatus.NOT_RUN),
-            qp_failures=self.controller.qp_failures,
+            desired_foot_forces=planned.desired_foot_forces if planned else _ZEROS[:2],
+            qp_status=int(planned.qp_status if planned else QpStatus.NOT_RUN),
+            qp_failures=self.whole_body.qp_failures,
             torque_saturations=self.command.saturations,
             motor_time=motor_time,
             tick_time=tick_time,
@@ -150,4 +157,4 @@ class Components:
 
     def _swings(self, state: RobotState) -> bool:
         fastest = (self.command.force * np.abs(state.joint_velocity)).max()
-        return not self.controller.at_rest and bool(fastest > AT_REST)
+        return not self.exchange.at_rest and bool(fastest > AT_REST)

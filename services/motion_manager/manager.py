@@ -5,12 +5,14 @@ after an error.
 """
 
 import logging
+from collections.abc import Sequence
 
 import numpy as np
 
 from valor.common.behaviors import Behavior, Locomotion, Manipulation
 from valor.common.messages import MotionState, Motor, Proprioceptor
 from valor.common.topics import PROPRIOCEPTOR
+from valor.control.controller import ControllerFactory
 from valor.control.state import RobotState
 from valor.control.watchdog import ProprioceptorWatchdog
 from valor.motion_manager.components import Components
@@ -28,8 +30,9 @@ _log = logging.getLogger("motion_manager")
 class MotionManager:
     """Control of a robot, one period after the other."""
 
-    def __init__(self, robot: RobotDescription, model: Model) -> None:
-        self.components = components = Components(robot, model)
+    def __init__(self, robot: RobotDescription, model: Model, others: Sequence[ControllerFactory] = ()) -> None:
+        """``others``: controllers beside the Whole-Body Controller."""
+        self.components = components = Components(robot, model, others)
         self.fsm, self.authority, self.rejections = components.fsm, components.authority, components.rejections
         self._dt = robot.control_period
         self._most_faults, self._errors_a_line = round(FAULTY / self._dt), round(LOGGED / self._dt)
@@ -85,6 +88,7 @@ class MotionManager:
             self._yield(proprioceptor)
             return
         state, is_new = acquired
+        components.command.measure(state.joint_position, proprioceptor.joint_velocity)
         self._decide(proprioceptor, state)
         dt = self._dt if is_new else min(max((components.time - before) * 1e-9, self._dt), LONGEST_PERIOD)
         self._move(proprioceptor, state, dt)
@@ -114,7 +118,7 @@ class MotionManager:
         components = self.components
         if components.drivers.current is not None:
             components.drivers.reset_driver(Locomotion.IDLE)
-            components.controller.end()
+            components.exchange.end()
         zeros = np.zeros_like(proprioceptor.joint_position)
         components.command.hold(proprioceptor.joint_position, zeros, proprioceptor.joint_effort)
 
@@ -133,7 +137,7 @@ class MotionManager:
         components, locomotion = self.components, self.fsm.locomotion
         components.falling = ""
         if locomotion.balancing or locomotion is Locomotion.STAND_PREP:
-            components.falling = components.detector.update(state, components.controller.footholds(state)) or ""
+            components.falling = components.detector.update(state, components.exchange.footholds(state)) or ""
             if components.falling and locomotion.balancing:
                 self.authority.fall(components.falling)
 

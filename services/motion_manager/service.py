@@ -14,6 +14,7 @@ from valor.common.priority import take_real_time
 from valor.common.processes import BY_NAME
 from valor.common.topics import (
     BEHAVIOR_CHANGE,
+    CONTROLLERS,
     FROZEN,
     HAND_GOAL_STATUS,
     MOTION_STATE,
@@ -59,6 +60,8 @@ class MotionManagerService:
         self._motion_state = MOTION_STATE.publisher(node)
         self._behavior_change = BEHAVIOR_CHANGE.publisher(node)
         self._frozen = FROZEN.publisher(node)
+        self._controllers = CONTROLLERS.publisher(node)
+        self._exchange_changes = -1  # the controllers at the start are published, too
         self._rejection = REJECTION.publisher(node)
         self._step_status = STEP_STATUS.publisher(node)
         self._hand_status = HAND_GOAL_STATUS.publisher(node)
@@ -190,6 +193,7 @@ class MotionManagerService:
             self._step_status_due = manager.time + round(STEP_STATUS_PERIOD * 1e9)
             self._step_status.publish(steps.status(manager.time))
         self._report_hands()
+        self._report_controllers()
         if manager.fsm.changes != self._changes:
             self._changes = manager.fsm.changes
             _log.info("behavior %s: %s", manager.fsm.behavior, manager.fsm.reason)
@@ -198,6 +202,14 @@ class MotionManagerService:
             self._frozen_limbs = frozen
             _log.info("frozen limbs: %s", ", ".join(frozen) or "none")
             self._frozen.publish(FrozenLimbs(manager.time, list(frozen)))
+
+    def _report_controllers(self) -> None:
+        """Publish the controllers on every change."""
+        exchange = self._manager.components.exchange
+        if exchange.changes != self._exchange_changes:
+            self._exchange_changes = exchange.changes
+            _log.info("controller %s: %s", exchange.active.name, exchange.reason or "started")
+            self._controllers.publish(exchange.status(self._manager.time))
 
     def _counts(self) -> tuple[int, int]:
         manager = self._manager

@@ -177,7 +177,7 @@ def test_bad_gains_are_refused(refusing: Robot, names: list[str], stiffness: tup
 
 
 def test_weights_go_gradually_and_end_with_the_balance(robot: Robot) -> None:
-    weights, handler = robot.manager.components.controller.weights, BalanceWeightsHandler(robot.manager.components)
+    weights, handler = robot.manager.components.whole_body.weights, BalanceWeightsHandler(robot.manager.components)
     assert handler.handle(Received(BalanceWeights(["com"], np.array((1e9,))), 0, 1, "somebody"), robot.time)
     robot.tick()
     assert weights.nominal[0] < weights.values[0] < 1.1 * weights.nominal[0]

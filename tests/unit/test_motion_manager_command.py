@@ -124,3 +124,31 @@ def test_limp_is_damping_alone() -> None:
     np.testing.assert_array_equal(motor.position, np.clip(measured, ROBOT.lower, ROBOT.upper))
     np.testing.assert_array_equal(motor.damping, np.where(COMPLIANT, ROBOT.servo_damping, 0.0))
     assert not motor.velocity.any() and not motor.effort.any() and not motor.stiffness.any()
+
+
+@given(seeds)
+@examples(30)
+def test_no_servo_makes_more_of_a_command_than_its_joint_may_bear(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    command, (position, velocity, _) = MotorCommand(ROBOT), wish(rng)
+    stiffness, damping = rng.uniform(0.0, 20.0, N) * ROBOT.servo_stiffness, ROBOT.servo_damping
+    command.measure(position, velocity)
+    command.balance(JointCommand(*wish(rng), stiffness, damping), *wish(rng), 1.0)
+    motor = said(command)
+    own = np.abs(motor.effort + damping * (motor.velocity - velocity))  # without the spring
+    inside = LED & COMPLIANT & (own < LIMIT)
+    assert (np.abs(torque(motor, position, velocity))[inside] <= LIMIT[inside] * (1 + 1e-9)).all()
+    assert (np.abs(motor.effort[COMPLIANT]) <= LIMIT[COMPLIANT]).all()
+
+
+def test_a_command_that_no_servo_makes_too_much_of_is_sent_as_it_is() -> None:
+    rng = np.random.default_rng(5)
+    position, velocity, effort = wish(rng, 0.1)
+    sent = []
+    for measured in (False, True):
+        command = MotorCommand(ROBOT)
+        if measured:
+            command.measure(position + 1e-3, velocity)
+        command.balance(JointCommand(position, velocity, effort, STIFFNESS, DAMPING), position, velocity, effort, 1.0)
+        sent.append(said(command))
+    np.testing.assert_array_equal(sent[0].position, sent[1].position)

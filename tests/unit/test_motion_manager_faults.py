@@ -68,8 +68,8 @@ def test_a_robot_that_never_makes_sense_is_never_in_control(robot: Robot) -> Non
 
 def interfere(robot: Robot, change: Callable[[WholeBodyCommand], WholeBodyCommand]) -> None:
     """Spoil what the Whole-Body Controller commands."""
-    update = robot.manager.components.controller.update
-    robot.manager.components.controller.update = lambda *arguments: change(update(*arguments))  # type: ignore[method-assign]
+    update = robot.manager.components.whole_body.update
+    robot.manager.components.whole_body.update = lambda *arguments: change(update(*arguments))  # type: ignore[method-assign]
 
 
 def test_a_command_that_is_not_finite_never_leaves(standing: Robot) -> None:

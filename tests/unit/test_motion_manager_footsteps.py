@@ -33,7 +33,7 @@ class Bench:
         self.controller = SimpleNamespace(recovering=False)
         components: Any = SimpleNamespace(
             robot=ROBOT, fsm=self.fsm, step_queue=self.queue, rejections=self.rejections, soles=lambda: self.soles,
-            controller=self.controller,
+            whole_body=self.controller,
         )  # fmt: skip
         self.handler = FootstepPlanHandler(components)
         self.taken: list[Step] = []

@@ -190,17 +190,17 @@ def test_a_hand_goal_is_obeyed_within_its_limits(manipulating: Robot, changes: d
 @pytest.mark.parametrize("weight", [-1e-9, np.nan, np.inf])
 def test_a_weight_is_a_finite_number_that_is_not_negative(manipulating: Robot, weight: float) -> None:
     manager = manipulating.manager
-    asked = manager.components.controller.weights.requested.copy()
+    asked = manager.components.whole_body.weights.requested.copy()
     message = BalanceWeights(["com"], np.array((weight,)))
     assert not BalanceWeightsHandler(manager.components).handle(Received(message, 0, 1, f"{weight}"), 0)
     assert not BalanceWeightsHandler(manager.components).handle(
         Received(BalanceWeights([], np.zeros(0)), 0, 1, f"none {weight}"), 0
     )
-    np.testing.assert_array_equal(manager.components.controller.weights.requested, asked)
+    np.testing.assert_array_equal(manager.components.whole_body.weights.requested, asked)
     assert BalanceWeightsHandler(manager.components).handle(
         Received(BalanceWeights(["com"], np.zeros(1)), 0, 1, "zero"), 0
     )
-    assert manager.components.controller.weights.requested[0] == manager.components.controller.weights.lower[0]
+    assert manager.components.whole_body.weights.requested[0] == manager.components.whole_body.weights.lower[0]
 
 
 def test_refusals_are_counted_by_topic_sender_and_kind_within_bounds(caplog: pytest.LogCaptureFixture) -> None:

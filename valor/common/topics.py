@@ -102,6 +102,7 @@ MOTOR           = Topic("motion_manager/motor",              m.Motor,           
 MOTION_STATE    = Topic("motion_manager/motion_state",       m.MotionState,       _MOTION, CONTROL_RATE, 1, "behavior, estimate, balance")
 BEHAVIOR_CHANGE = Topic("motion_manager/behavior_change",    m.BehaviorChange,    _MOTION, None,         0, "last change of behavior, with the reason", latched=True)
 FROZEN          = Topic("motion_manager/frozen",             m.FrozenLimbs,       _MOTION, None,         1, "limbs that hold while the rest moves", latched=True)
+CONTROLLERS     = Topic("motion_manager/controllers",        m.ControllerStatus,  _MOTION, None,         1, "controllers of the balancing robot, and which is in control", latched=True)
 REJECTION       = Topic("motion_manager/rejection",          m.Rejection,         _MOTION, None,         1, "rejected commands, with the reason")
 STEP_STATUS     = Topic("motion_manager/step_status",        m.StepStatus,        _MOTION, 10.0,         1, "progress of a footstep plan")
 JOINT_SETPOINTS = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,    _VRC,    None,         1, "set-points by joint name", queue=16)
@@ -138,6 +139,7 @@ TOPICS: tuple[Topic[Any], ...] = (
 #                            name                            request                reply                owner    description
 BEHAVIOR      = ServiceTopic("motion_manager/behavior",      m.BehaviorRequest,     m.BehaviorReply,     _MOTION, "go to a behavior")
 STOP          = ServiceTopic("comms_manager/stop",           m.BehaviorRequest,     m.BehaviorReply,     _COMMS,  "fall, soft_stop or freeze, while no Motion Manager controls the robot")
+CONTROLLER    = ServiceTopic("motion_manager/controller",    m.ControllerRequest, m.ControllerReply,   _MOTION, "choose the controller of the balancing robot")
 FOOTSTEP_PLAN = ServiceTopic("motion_manager/footstep_plan", m.FootstepPlanRequest, m.FootstepPlanReply, _MOTION, "execute, update or stop a footstep plan")
 PUSH          = ServiceTopic("simulation/push",              m.PushRequest,         m.PushReply,         _COMMS,  "push a body of the robot; simulation only", (_EMULATORS,))
 SIMULATED_TIME = ServiceTopic("simulation/time",             m.TimeRequest,         m.TimeReply,         _COMMS,  "pause, step, slow down; simulation without devices only")

@@ -6,6 +6,7 @@ the last check of each command are the same for all. Vectors have one entry for 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -14,8 +15,10 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Locomotion
+from valor.control.kinematics import Kinematics
 from valor.control.state import RobotState
 from valor.control.steps import StepSource
+from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
 
 
@@ -80,8 +83,12 @@ class Controller(ABC):
         """Start from a state; ``last`` is the command in force, None if servos held the joints."""
 
     @abstractmethod
-    def update(self, state: RobotState, request: Request, dt: float) -> JointCommand:
-        """Compute the command of a period, ``dt`` after the last one [s]."""
+    def update(self, state: RobotState, request: Request, dt: float) -> JointCommand | None:
+        """Compute the command of a period, ``dt`` after the last one [s]; None keeps the last command."""
 
     def end(self) -> None:  # noqa: B027 (most have nothing to end)
         """Give up control."""
+
+
+ControllerFactory = Callable[[RobotDescription, Kinematics], Controller]
+"""Makes a controller of a robot; the kinematics are those of every state that it will receive."""

@@ -59,6 +59,7 @@ class Kinematics:
         self.mass = float(mj.body_subtreemass[base])  # [kg]
         self.gravity = -float(mj.opt.gravity[2])  # [m/s²]
         self.mass_matrix = np.zeros((mj.nv, mj.nv))  # (nv, nv)
+        self.bias = np.zeros(mj.nv)  # (nv,) Coriolis, centrifugal and gravity forces, of the last ``evaluate_bias``
         self._motions = motions = Motions({COM: CentreOfMassMotion(), FEET: SoleMotions(model)})
         jacobian, velocity, poses = np.zeros((motions.count, mj.nv)), np.zeros(motions.count), np.zeros(motions.size)
         self.rotation = np.eye(3)  # (3, 3) pelvis in odom
@@ -108,6 +109,10 @@ class Kinematics:
         for write in self._jacobians:
             write()
         self._place()
+
+    def evaluate_bias(self) -> None:
+        """Evaluate ``bias``, after ``evaluate``: for controllers that need it."""
+        mujoco.mj_rne(self.model.mj, self.data, 0, self.bias)
 
     def _moving(self, body: int) -> list[int]:
         m = self.model.mj

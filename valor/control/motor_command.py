@@ -58,7 +58,9 @@ class MotorCommand:
         )  # of the last command
         self._limp = Drive(self._modes(force, force, off), nothing, np.where(self._compliant, damping, 0.0))
         self._zeros = nothing
-        self._asked, self._checked, self._checks = np.zeros((6, n)), np.zeros((4, n)), np.zeros(2)
+        # Position, velocity, effort; of the controller's joints: position, velocity, compensation; gains; measured.
+        self._asked, self._checked, self._checks = np.zeros((10, n)), np.zeros((4, n)), np.zeros(2)
+        self._measured, self._unknown = np.full((2, n), np.nan), np.full((2, n), np.nan)
         self._check = Kernel("command", self._expressions, (self._asked,), (self._checked, self._checks))
         self.saturations = 0  # joint commands at or above an effort limit, since start
         self.replaced = 0  # commands that were not finite, replaced by the last valid one, since start
@@ -70,6 +72,10 @@ class MotorCommand:
     def _modes(self, force: JointMode, impedance: JointMode, position: JointMode) -> Modes:
         """(n,) modes, from one mode for each kind of control."""
         return np.where(self.force, force, np.where(self.impedance, impedance, position)).astype(np.uint8)
+
+    def measure(self, position: FloatArray, velocity: FloatArray) -> None:
+        """Set the measured (n,) positions and velocities [rad, rad/s], at which servos keep the limits."""
+        self._measured[:] = position, velocity
 
     def limp(self, measured: FloatArray) -> None:
         """Command no effort, only damping; joints with a position servo are off."""
@@ -145,8 +151,10 @@ class MotorCommand:
         led: tuple[FloatArray, FloatArray, FloatArray] | None = None,
     ) -> None:
         """Accept a finite command, clamped to the limits; else repeat the last. ``led``: of the QP's joints."""
+        self._asked[8:] = self._unknown if led is None else self._measured
         led = led or (position, velocity, self._zeros)
-        np.concatenate((position, velocity, effort, *led), out=self._asked.reshape(-1))
+        given = (position, velocity, effort, *led, drive.stiffness, drive.damping)
+        np.concatenate(given, out=self._asked[:8].reshape(-1))
         self._check()
         squares, beyond = self._checks.tolist()
         if not math.isfinite(squares):
@@ -159,17 +167,23 @@ class MotorCommand:
 
     def _expressions(self, asked: Expression) -> Sequence[Expression]:
         """(4, n) ``position``, ``velocity``, ``effort``, ``wanted``; (2,) sum of squares, efforts at a limit."""
-        position, velocity, effort, *led, offsets = (asked[i, :] for i in range(6))
+        position, velocity, effort, *led, offsets, stiffness, damping, q, rate = (asked[i, :] for i in range(10))
         joints = np.flatnonzero(self._led).tolist()
         position[joints], velocity[joints] = led[0][joints], led[1][joints]
         # Before clamping, which would hide a number that is not finite.
         squares = ca.sumsqr(position) + ca.sumsqr(velocity) + ca.sumsqr(effort) + ca.sumsqr(offsets)
         compliant = np.flatnonzero(self._compliant).tolist()
         limit = ca.DM(self._limits.effort).T[compliant]
-        limited = ca.SX(1, effort.shape[1])
+        limited, most = ca.SX(1, effort.shape[1]), ca.DM(self._limits.effort).T
         limited[compliant] = clipped(effort[compliant], -limit, limit)
         lower, upper = ca.DM(self._limits.lower).T, ca.DM(self._limits.upper).T
         sent, wanted = clipped(position + offsets, lower, upper), clipped(position, lower, upper)
+        # A servo whose torque would exceed the limit gets a set-point nearer to where the joint is.
+        own = limited + damping * (velocity - rate)
+        bounded = q + (clipped(own + stiffness * (sent - q), -most, most) - own) / stiffness
+        strong = ca.fabs(own + stiffness * (sent - q)) > most
+        served = ca.DM(self._compliant.astype(float)).T * (stiffness > 0.0)
+        sent = ca.if_else(strong * served, clipped(bounded, lower, upper), sent)
         beyond = ca.sum2(ca.fabs(effort[compliant]) >= limit)
         return ca.vertcat(sent, velocity, limited, wanted), ca.vertcat(squares, beyond)
 

@@ -1,11 +1,14 @@
 """Tables of robot.yaml for motion; those that only controllers read are in ``valor.control.tuning_tables``."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from valor.common.table import NonNegative, Positive, Table, require_order
 from valor.robot.size import Force, Length, Rate, Sole, Speed, SquaredRate, Time
+
+WHOLE_BODY = "whole_body"
+"""Name of the Whole-Body Controller, which every robot has."""
 
 
 class Footsteps(Table):
@@ -68,6 +71,18 @@ class Walking(Table):
     speed_change: Speed[Positive] = 0.12  # largest change from step to step [m/s]
     turn_change: Rate[Positive] = 0.2  # [rad/s]
     command_timeout: Positive = 0.5  # the robot stops after this time without a velocity command [s]
+
+
+class Controllers(Table):
+    """Controllers that clients may choose, by name, for a robot that stands and one that walks; the first is used."""
+
+    stand: str | list[str] = WHOLE_BODY
+    walk: str | list[str] = WHOLE_BODY
+
+    def names(self, behavior: Literal["stand", "walk"]) -> list[str]:
+        """Return those of one behavior; it is never empty."""
+        value: str | list[str] = getattr(self, behavior)
+        return [value] if isinstance(value, str) else value or [WHOLE_BODY]
 
 
 class PelvisMotion(Table):

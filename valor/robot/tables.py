@@ -10,7 +10,7 @@ from valor.common.table import NonNegative, Positive, Table, TableError, require
 from valor.devices.kinds import DeviceTable
 from valor.devices.table import Calibration, SupplyLimits
 from valor.robot.batteries import Batteries
-from valor.robot.motion_tables import Footsteps, PelvisMotion, SelfCollision, Walking
+from valor.robot.motion_tables import Controllers, Footsteps, PelvisMotion, SelfCollision, Walking
 from valor.robot.size import Force, Size
 
 WHOLE_BODY_GROUPS = ("left_leg", "right_leg", "torso", "left_arm", "right_arm")
@@ -228,6 +228,7 @@ class RobotTables(Table, kw_only=True):
     footsteps: Footsteps | None = None  # absent: no footstep plans; {}: defaults of its size
     whole_body: Section = {}
     walking: Walking = Walking()
+    controllers: Controllers = Controllers()
     pelvis: PelvisMotion = PelvisMotion()
     disturbance: Section = {}
     gains: Section = {}

@@ -20,6 +20,7 @@ from valor.control.steps import StepSource
 from valor.control.tuning_tables import Tuning, WholeBody
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
+from valor.robot.motion_tables import WHOLE_BODY
 from valor.whole_body.balance.pelvis import PelvisReference
 from valor.whole_body.balance.reference import DcmLaw
 from valor.whole_body.balance.watch import BalanceWatch
@@ -40,7 +41,7 @@ _log = logging.getLogger(__name__)
 class WholeBodyController(Controller):
     """Standing and stepping, with set-points for waist and arms."""
 
-    name = "whole_body"
+    name = WHOLE_BODY
     states = frozenset(state for state in Locomotion if state.balancing)
     takes_footsteps = True
 

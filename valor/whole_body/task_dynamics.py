@@ -25,11 +25,11 @@ class TaskDynamics:
         self.kinematics = kinematics
         self.joints, self.velocity = kinematics.joints, kinematics.velocity
         self.joint_position, self.joint_velocity = kinematics.joint_position, kinematics.joint_velocity
-        self.mass_matrix, self.sole_rotation = kinematics.mass_matrix, kinematics.sole_rotation
+        self.mass_matrix, self.bias = kinematics.mass_matrix, kinematics.bias
+        self.sole_rotation = kinematics.sole_rotation
         self._model, self._data = kinematics.model.mj, kinematics.data
         self._mass, self._gravity = kinematics.mass, kinematics.gravity
         data, nv = self._data, self._model.nv
-        self.bias = np.zeros(nv)  # (nv,) Coriolis, centrifugal and gravity forces
         self.rows, self._motions = motions.rows, motions  # rows of each motion, by name
         self.jacobian = np.zeros((motions.count, nv))  # (count, nv); motions accelerate by jacobian·v̇ + drift
         # (count,); the velocity is jacobian·velocity, relative to the pelvis' linear velocity.
@@ -47,7 +47,7 @@ class TaskDynamics:
     def evaluate(self) -> None:
         """Evaluate everything, after ``Kinematics.evaluate``."""
         m, d = self._model, self._data
-        mujoco.mj_rne(m, d, 0, self.bias)
+        self.kinematics.evaluate_bias()
         mujoco.mj_rnePostConstraint(m, d)  # accelerations of bodies at v̇ = 0: the Jacobians' drift
         for write in self._jacobians:
             write()

@@ -69,7 +69,7 @@ class FootstepPlanHandler(RequestHandler[FootstepPlanRequest, FootstepPlanReply]
             raise _rejection(f"{len(requested)} steps; expected at most {rule.limits.max_steps}")
         if self._queue.stopping:
             raise _rejection(f"the plan that runs is ending ({self._queue.reason}); send another once the robot stands")
-        if self.components.controller.recovering:
+        if self.components.whole_body.recovering:
             raise _rejection("the robot is stepping to keep its balance; send the plan once it stands")
         steps = self._to_come([self._step(step, rule) for step in requested])
         before = self._before(steps[0])

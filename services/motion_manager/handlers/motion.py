@@ -38,7 +38,7 @@ class PelvisHandler(Handler[PelvisSetpoint]):
     topic = PELVIS
 
     def execute(self, received: Received[PelvisSetpoint], now: int) -> None:
-        message, pelvis = received.message, self.components.controller.pelvis
+        message, pelvis = received.message, self.components.whole_body.pelvis
         self._check(message, now)
         limits = pelvis.limits
         position, velocity = limits.position_within(message.position), limits.velocity_within(message.velocity)

@@ -47,7 +47,7 @@ class BalanceWeightsHandler(Handler[BalanceWeights]):
     topic = BALANCE_WEIGHTS
 
     def execute(self, received: Received[BalanceWeights], now: int) -> None:
-        message, weights = received.message, self.components.controller.weights
+        message, weights = received.message, self.components.whole_body.weights
         tasks = {task: i for i, task in enumerate(WEIGHTS)}
         indices = _indices(self.components.fsm, message.names, tasks, "task")
         _check_numbers(message.names, weights=message.weights)

@@ -13,10 +13,10 @@ that. A joint that does not move gets a constant velocity.
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.control.controller import JointCommand
 from valor.control.motor_command import MotorCommand
 from valor.control.state import RobotState
 from valor.robot.description import RobotDescription
-from valor.whole_body.command import WholeBodyCommand
 
 
 class ArmPdControl:
@@ -29,7 +29,7 @@ class ArmPdControl:
         self._fastest = robot.velocity_limit[self.joints]
         self._offsets = np.zeros(len(robot.joints))
 
-    def apply(self, state: RobotState, command: WholeBodyCommand) -> FloatArray:
+    def apply(self, state: RobotState, command: JointCommand) -> FloatArray:
         """Replace the arms' velocity and effort in a command; returns (n,) position set-points minus its own [rad]."""
         joints, gains = self.joints, self._gains
         position, rate = state.joint_position[joints], command.velocity[joints]

@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from valor.common.arrays import FloatArray
 from valor.common.kernel import Expression, Kernel, clipped
+from valor.control.controller import JointCommand
 from valor.control.motor_command import MotorCommand
 from valor.control.state import RobotState
 from valor.control.tuning_tables import Tuning
@@ -31,7 +32,6 @@ from valor.robot.arm_calibration import JointCalibration
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
 from valor.robot.model import Indices
-from valor.whole_body.command import WholeBodyCommand
 
 CHANGE_TIME = 0.5  # time for a change by the nominal value [s]
 PERIOD = 0.0079  # period of updates, shorter than that of the arms' set-points [s]
@@ -173,7 +173,7 @@ class ServoCompensation:
         """Clear the integral, at the start of balance; the estimates of the gears are kept."""
         self.integral[:] = 0.0
 
-    def offsets(self, state: RobotState, command: WholeBodyCommand, dt: float, *, complete: bool) -> FloatArray:
+    def offsets(self, state: RobotState, command: JointCommand, dt: float, *, complete: bool) -> FloatArray:
         """(n,) p − p_wanted of set-points [rad]; ``complete``: full control by the QP in the last ``dt`` [s]."""
         if not self.joints.size:
             return self._offsets
@@ -185,7 +185,7 @@ class ServoCompensation:
         self._offsets[self._indices] = np.minimum(np.maximum(self.offset, present - step), present + step)
         return self._offsets
 
-    def _update(self, state: RobotState, command: WholeBodyCommand, *, complete: bool) -> None:
+    def _update(self, state: RobotState, command: JointCommand, *, complete: bool) -> None:
         motors = self._motors
         drive = motors.drive
         np.concatenate(

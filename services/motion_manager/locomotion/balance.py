@@ -1,4 +1,4 @@
-"""Drivers with balance control: the Whole-Body Controller moves the joints, at rest or with steps of a source."""
+"""Drivers with balance control: a controller moves the joints, at rest, with steps of a source, or at a velocity."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from valor.common.behaviors import Behavior, Locomotion, Manipulation
-from valor.control.controller import JointTargets, Request
+from valor.control.controller import JointCommand, JointTargets, Request
 from valor.control.state import RobotState
 from valor.control.steps import StepSource
 from valor.motion_manager.locomotion.driver import Driver
@@ -24,14 +24,14 @@ _log = logging.getLogger("motion_manager")
 
 
 class BalanceControl:
-    """The Whole-Body Controller with its inputs, for all states that balance. Times are robot time [s]."""
+    """The controllers with their inputs, for all states that balance. Times are robot time [s]."""
 
     def __init__(self, components: Components) -> None:
         self._components = components
-        self._fsm, self.controller = components.fsm, components.controller
+        self._fsm, self._whole_body, self._exchange = components.fsm, components.whole_body, components.exchange
         self._most_failures = round(LONGEST_INFEASIBLE / components.robot.control_period)
         self._no_effort = np.zeros(len(components.robot.joints))
-        self.command: WholeBodyCommand | None = None  # of this period; None if it does not control the joints
+        self.command: JointCommand | None = None  # of this period; None if no controller controls the joints
         self._blend_start = 0.0
         self._failures = 0  # of the QP, consecutive
         self._recovering = False  # as last reported
@@ -40,7 +40,7 @@ class BalanceControl:
         """Start to balance."""
         components = self._components
         components.detector.reset()
-        self.controller.begin(state)
+        self._exchange.begin(state)
         components.gains.reset()
         components.servos.reset()
         self._failures = 0
@@ -56,22 +56,26 @@ class BalanceControl:
         place, rate, frozen = reference.position, reference.velocity, reference.frozen
         targets = JointTargets(place, rate, reference.acceleration, gains.stiffness, gains.damping, frozen)
         request = Request(targets, self._fsm.locomotion, components.velocity_steps.wanted, source)
-        command = self.command = self.controller.update(state, request, dt)
+        command = self.command = self._exchange.update(state, request, dt, now)
         fraction = min(1.0, (now - self._blend_start) / BLEND)
         offsets = components.servos.offsets(state, command, dt, complete=fraction >= 1.0)
         if components.arm_pd is not None:
             offsets = components.arm_pd.apply(state, command)
         effort = components.posture.effort(now) if fraction < 1.0 else self._no_effort
         motors.balance(command, place, rate, effort, fraction, offsets=offsets, held=frozen)
-        self._failures = self._failures + 1 if command.qp_status is QpStatus.INFEASIBLE else 0
+        infeasible = isinstance(command, WholeBodyCommand) and command.qp_status is QpStatus.INFEASIBLE
+        self._failures = self._failures + 1 if infeasible else 0
         if self._failures >= self._most_failures and self._fsm.may_go(Behavior.SOFT_STOP):
             self._fsm.go(Behavior.SOFT_STOP, f"the whole-body QP was infeasible for {self._failures} periods in a row")
+        fault = self._exchange.settled(state, dt, now)
+        if fault and self._fsm.may_go(Behavior.SOFT_STOP):
+            self._fsm.go(Behavior.SOFT_STOP, fault)
 
     def _choose_steps(self, source: StepSource | None, now: float) -> None:
         """Change the step source once the robot is at rest; change to Stand at the end of a plan."""
         steps = self._components.step_queue
         self._components.velocity_steps.advance(now)
-        if not self.controller.at_rest:
+        if not self._exchange.at_rest:
             return
         if steps.take_finished() and source is steps:
             self._fsm.go(Behavior.STAND, steps.reason or "the footstep plan is done")
@@ -86,7 +90,7 @@ class BalanceControl:
 
     def recover(self) -> None:
         """Allow recovery steps, once a period, unless hands under a client's control may hold on to what they touch."""
-        controller, fsm = self.controller, self._fsm
+        controller, fsm = self._whole_body, self._fsm
         holding = fsm.manipulation is Manipulation.TELEOP and self._components.hand_contacts.touching
         controller.may_recover = fsm.locomotion.recovering and not holding
         if controller.recovering is self._recovering:
@@ -123,7 +127,7 @@ class StepDriver(BalanceDriver):
         self.source = components.step_queue
 
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        self.components.controller.pelvis.go_home()
+        self.components.whole_body.pelvis.go_home()
         super().enter(before, state, now)
 
     def leave(self, to: Locomotion) -> None:

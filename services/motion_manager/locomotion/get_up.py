@@ -156,7 +156,7 @@ class GetUpDriver(Driver):
     states = (Locomotion.GET_UP,)
 
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        self.components.controller.end()
+        self.components.exchange.end()
         self.components.get_up.begin(state, now)
 
     def proceed(self, state: RobotState, now: float) -> None:

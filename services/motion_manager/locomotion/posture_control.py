@@ -96,7 +96,7 @@ class LimpDriver(Driver):
     release = Release.LIMP
 
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        self.components.controller.end()
+        self.components.exchange.end()
 
     def drive(self, state: RobotState, now: float, dt: float) -> None:
         self.components.command.limp(state.joint_position)
@@ -109,7 +109,7 @@ class HoldDriver(Driver):
     release = Release.HELD
 
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
-        self.components.controller.end()
+        self.components.exchange.end()
         posture = self.components.posture
         if before is None:
             posture.take_up(state.joint_position, state.joint_effort)

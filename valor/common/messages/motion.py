@@ -58,6 +58,17 @@ class FrozenLimbs(Message):
     limbs: list[str]  # groups of robot.yaml; empty: none
 
 
+class ControllerStatus(Message):
+    """Controllers of the robot while it balances. Without arrays, so that subscribers need no NumPy."""
+
+    time: int
+    active: str  # in control, of the last time that the robot balanced
+    pending: str  # to take over next; empty: none
+    reason: str  # of the last exchange, or of the rejection of one
+    stand: list[str]  # that may control the robot while it stands, the chosen one first
+    walk: list[str]  # likewise while it walks
+
+
 class Rejection(Message):
     """A command that the Motion System rejected."""
 
@@ -162,6 +173,19 @@ class BehaviorReply(Message):
     behavior: str
     reason: str
     obstacle: str  # value of ``Obstacle``
+
+
+class ControllerRequest(Message):
+    """Request for a controller, by its name in ``controllers`` of robot.yaml: for standing, walking, or both."""
+
+    controller: str
+
+
+class ControllerReply(Message):
+    """Acceptance, or rejection with the reason. ``ControllerStatus`` tells when it takes over."""
+
+    accepted: bool
+    reason: str
 
 
 class ControllerCycle(Message):

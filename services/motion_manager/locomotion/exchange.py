@@ -1,0 +1,268 @@
+"""Exchange of the controller in control while the robot stands or walks.
+
+The next controller first runs in shadow: it receives the robot's states, and its commands are checked but not executed.
+Once they have been sound for a while and both feet carry weight, the torques of both controllers are blended. If
+another controller than the Whole-Body Controller fails (``supervision``), the Whole-Body Controller takes over at once,
+lowers a foot in the air, and brings the robot to rest; then the behavior changes to Soft Stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from math import hypot
+
+import numpy as np
+
+from valor.common.arrays import FloatArray
+from valor.common.behaviors import Locomotion
+from valor.common.messages import ControllerStatus
+from valor.control.controller import Controller, JointCommand, JointTargets, Request
+from valor.control.state import RobotState
+from valor.motion_manager.locomotion.supervision import Supervised
+from valor.robot.description import RobotDescription
+from valor.robot.motion_tables import WHOLE_BODY
+from valor.whole_body.controller import WholeBodyController
+
+SHADOW = 0.1  # duration of sound commands before control [s]
+BLEND = 0.3  # from one controller to the next [s]
+QUICK = 0.1  # to the Whole-Body Controller, from one that failed [s]
+WAITING = 3.0  # longest time for the conditions of an exchange [s]
+STILL, SETTLED, LONGEST = 0.05, 0.5, 4.0  # speed of the CoM at rest [m/s], for so long, at the latest then [s]
+REACH = 0.4  # of a step to keep the balance, fraction of the leg's length
+
+BEHAVIORS = {Locomotion.STAND: "stand", Locomotion.WALK: "walk"}
+"""State of the Locomotion FSM → key of ``controllers`` in robot.yaml; in others the Whole-Body Controller is used."""
+
+
+def blended(one: JointCommand, other: JointCommand, share: float) -> JointCommand:
+    """Command whose torques are ``other``'s with weight ``share`` and ``one``'s with the rest, at any state."""
+    rest = 1.0 - share
+    stiffness, damping = rest * one.stiffness + share * other.stiffness, rest * one.damping + share * other.damping
+    position, velocity = rest * one.position + share * other.position, rest * one.velocity + share * other.velocity
+    pull = rest * one.stiffness * one.position + share * other.stiffness * other.position
+    drag = rest * one.damping * one.velocity + share * other.damping * other.velocity
+    return JointCommand(
+        np.divide(pull, stiffness, out=position, where=stiffness > 0.0),
+        np.divide(drag, damping, out=velocity, where=damping > 0.0),
+        rest * one.effort + share * other.effort,
+        stiffness,
+        damping,
+    )
+
+
+class ControllerExchange:
+    """The controllers of a robot, and which of them is in control.
+
+    Attributes:
+        active: the controller in control.
+        chosen: state of the Locomotion FSM → name of the controller that is to serve it.
+        pending: name of the controller that is to take over next; empty: none.
+        reason: of the last exchange, or of the rejection of one.
+        failed: fault of the last controller, while the robot is brought to rest because of it; else empty.
+        changes: number of changes of any of these.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        whole_body: WholeBodyController,
+        others: Iterable[Controller],
+        not_loaded: Callable[[RobotState], str],
+    ) -> None:
+        """``not_loaded``: reason why the feet do not both carry weight; empty if they do."""
+        self._robot, self._whole_body, self._not_loaded = robot, whole_body, not_loaded
+        self._others = {each.name: Supervised(robot, each) for each in others}
+        tables = robot.tables.controllers
+        self.allowed = {state: tuple(tables.names(key)) for state, key in BEHAVIORS.items()}  # type: ignore[arg-type]
+        self.chosen = {state: names[0] for state, names in self.allowed.items()}
+        self.active: Controller = whole_body
+        self.pending = self.reason = self.failed = ""
+        self.changes = 0
+        self._command: JointCommand | None = None  # in force
+        self._since = 0.0  # beginning of the wait for the pending controller, or of the rest after a failure [s]
+        self._old: Controller | None = None  # whose commands fade out
+        self._old_command: JointCommand | None = None
+        self._blend = (0.0, BLEND)  # its start and duration [s]
+        self._rested = 0.0  # [s]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All controllers."""
+        return (WHOLE_BODY, *self._others)
+
+    @property
+    def at_rest(self) -> bool:
+        """True if no step is under way."""
+        return self.active.at_rest
+
+    def footholds(self, state: RobotState) -> tuple[FloatArray, FloatArray] | None:
+        """Soles after the step under way, as of ``Controller``; unknown ones are where the DCM needs them, in reach."""
+        if self.active.at_rest or self.active is self._whole_body:
+            return self.active.footholds(state)
+        if found := self.active.footholds(state):
+            return found
+        positions, foot = state.sole_positions_in_odom.copy(), int(state.foot_forces.argmin())
+        way = state.dcm_in_odom[:2] - positions[1 - foot, :2]
+        reach = REACH * self._robot.tables.size.leg
+        positions[foot, :2] = positions[1 - foot, :2] + way * min(1.0, reach / max(float(np.hypot(*way)), 1e-9))
+        return positions, state.sole_rotations_in_odom
+
+    def choose(self, name: str, state: RobotState | None) -> str:
+        """Choose a controller for all states that may have it; returns the reason of a rejection, or an empty text."""
+        states = [each for each, names in self.allowed.items() if name in names]
+        if name not in self.names or not states:
+            lists = "; ".join(f"{BEHAVIORS[each]}: {', '.join(names)}" for each, names in self.allowed.items())
+            return f"no controller {name[:64]!r} for this robot; expected of its robot.yaml, controllers: {lists}"
+        if self.failed:
+            return f"the robot is brought to rest: {self.failed}"
+        if name != WHOLE_BODY and state is not None and (refusal := self._others[name].controller.refusal(state)):
+            return refusal
+        self.chosen |= dict.fromkeys(states, name)
+        self.changes += 1
+        return ""
+
+    def status(self, time: int) -> ControllerStatus:
+        """Return the status at robot time ``time`` [ns]."""
+        lists = [sorted(names, key=lambda name: name != self.chosen[each]) for each, names in self.allowed.items()]
+        stand, walk = lists
+        return ControllerStatus(time, self.active.name, self.pending, self.reason, stand, walk)
+
+    def begin(self, state: RobotState) -> None:
+        """Start with the Whole-Body Controller, from servos that held the joints."""
+        self.end()
+        self._whole_body.begin(state)
+
+    def end(self) -> None:
+        """Give up control."""
+        for controller in (self.active, self._old, self._whole_body):
+            if controller is not None:
+                controller.end()
+        self.active, self._old, self._old_command, self._command = self._whole_body, None, None, None
+        self.pending = self.failed = ""
+
+    def update(self, state: RobotState, request: Request, dt: float, now: float) -> JointCommand:
+        """Command of a period of ``dt`` [s] at robot time ``now`` [s]."""
+        if self.failed:
+            request = replace(request, locomotion=Locomotion.STAND, steps=None, velocity=np.zeros(3))
+        wanted = WHOLE_BODY if self.failed else self.chosen.get(request.locomotion, WHOLE_BODY)
+        if wanted == self.active.name:
+            self._withdraw()
+        elif wanted != self.pending:
+            self._prepare(wanted, state, now)
+        if self.pending:
+            self._take_up(state, request, dt, now)
+        if self.pending and self.active.at_rest:  # steps wait for who is to take them
+            request = replace(request, steps=None, velocity=np.zeros(3))
+        command = self._of(self.active, state, request, dt)
+        if command is None:
+            self._fail(state, now)
+            command = self._of(self._whole_body, state, request, dt)
+            assert command is not None
+        self._command = command = self._faded(command, state, request, dt, now)
+        return command
+
+    def settled(self, state: RobotState, dt: float, now: float) -> str:
+        """Return the fault of a controller once the robot is at rest after it; empty before, and without one."""
+        if not self.failed:
+            return ""
+        still = self._whole_body.at_rest and hypot(*state.com_velocity_in_odom[:2].tolist()) < STILL
+        self._rested = self._rested + dt if still else 0.0
+        if self._rested < SETTLED and now - self._since < LONGEST:
+            return ""
+        fault, self.failed = self.failed, ""
+        return fault
+
+    def _prepare(self, name: str, state: RobotState, now: float) -> None:
+        """Let a controller run in shadow."""
+        self._withdraw()
+        self.pending, self._since = name, now
+        self.changes += 1
+        if name != WHOLE_BODY:
+            self._others[name].begin(state, self._command)
+
+    def _withdraw(self) -> None:
+        if self.pending:
+            if self.pending in self._others:
+                self._others[self.pending].controller.end()
+            self.pending = ""
+            self.changes += 1
+
+    def _take_up(self, state: RobotState, request: Request, dt: float, now: float) -> None:
+        """Exchange the controllers if the conditions hold; reject the exchange if they do not for too long."""
+        name, reason = self.pending, self._not_loaded(state)
+        if name == WHOLE_BODY:
+            urgent = request.locomotion is Locomotion.SOFT_STOP or now - self._since > WAITING
+            if urgent or not reason:
+                self._exchange(self._whole_body, state, now, BLEND)
+            return
+        supervised = self._others[name]
+        supervised.update(state, request, dt)
+        if not (reason := supervised.fault or reason or supervised.controller.refusal(state)):
+            if supervised.sound >= SHADOW:
+                self._exchange(supervised.controller, state, now, BLEND)
+                return
+            reason = f"its commands were sound for {supervised.sound:.3f} s; expected {SHADOW} s"
+        if supervised.fault or now - self._since > WAITING:
+            self.chosen |= dict.fromkeys((each for each, chosen in self.chosen.items() if chosen == name), WHOLE_BODY)
+            self._withdraw()
+            self.reason = f"{name} does not take over: {reason}"
+
+    def _exchange(self, controller: Controller, state: RobotState, now: float, duration: float) -> None:
+        before = self.active
+        self._old, self._old_command, self._blend = before, self._command, (now, duration)
+        self.active, self.pending = controller, ""
+        self.reason = f"{controller.name} after {before.name}"
+        self.changes += 1
+        if controller is self._whole_body:
+            self._whole_body.begin(state, self._command)
+            self._whole_body.catch(state)
+
+    def _fail(self, state: RobotState, now: float) -> None:
+        """Return control to the Whole-Body Controller at once, because the active one has a fault."""
+        name = self.active.name
+        self._exchange(self._whole_body, state, now, QUICK)
+        self.failed = self.reason = f"{name}: {self._others[name].fault}"
+        self.chosen = dict.fromkeys(self.chosen, WHOLE_BODY)
+        self._since, self._rested = now, 0.0
+        assert self._old is not None
+        self._old.end()
+        self._old = None  # its last command fades out
+
+    def _of(self, controller: Controller, state: RobotState, request: Request, dt: float) -> JointCommand | None:
+        """Command of a controller, completed for the joints that it does not command; None after a fault."""
+        if controller is self._whole_body:
+            return controller.update(state, request, dt)
+        command = self._others[controller.name].update(state, request, dt)
+        return None if command is None else self._completed(command, controller, state, request.joints)
+
+    def _completed(
+        self, command: JointCommand, controller: Controller, state: RobotState, targets: JointTargets
+    ) -> JointCommand:
+        own, kinematics = controller.joints, state.kinematics
+        kinematics.evaluate_bias()
+        weight = np.zeros_like(command.effort)
+        weight[kinematics.joints.places] = kinematics.bias[6:]
+        fastest = self._robot.velocity_limit
+        return JointCommand(
+            np.where(own, command.position, targets.position),
+            np.where(own, np.clip(command.velocity, -fastest, fastest), targets.velocity),
+            np.where(own, command.effort, weight),
+            np.where(own, command.stiffness, targets.stiffness),
+            np.where(own, command.damping, targets.damping),
+        )
+
+    def _faded(self, command: JointCommand, state: RobotState, request: Request, dt: float, now: float) -> JointCommand:
+        """Blend a command with the fading ones of the controller before."""
+        if self._old_command is None:
+            return command
+        began, duration = self._blend
+        share = (now - began) / duration
+        if share >= 1.0:
+            if self._old is not None:
+                self._old.end()
+            self._old = self._old_command = None
+            return command
+        if self._old is not None and (still := self._of(self._old, state, replace(request, steps=None), dt)):
+            self._old_command = still
+        return blended(self._old_command, command, share)

@@ -1,0 +1,149 @@
+"""Supervision of a controller: what makes its commands unfit to be executed."""
+
+from __future__ import annotations
+
+import time
+from math import acos, degrees, hypot
+
+import numpy as np
+
+from valor.common.arrays import FloatArray
+from valor.common.behaviors import Locomotion
+from valor.control.controller import Controller, JointCommand, Request
+from valor.control.fall import corners_on_ground, inner_radius, sole_corners, surely_within
+from valor.control.state import RobotState
+from valor.control.tuning_tables import Tuning
+from valor.robot.description import RobotDescription
+from valor.robot.soles import convex_hull, distance_outside
+
+MUTE = 0.05  # duration without a command [s]
+LATE = 1.0  # longest update, in its periods
+STRONGEST = 1.5  # torque that a command asks of a servo, fraction of the joint's limit
+PATIENCE = 4.0  # updates that are late or ask for too much, fewer are tolerated ...
+PARDON = 0.5  # ... each for this long [s]
+TILT = 0.5  # largest tilt of the pelvis, fraction of that at which the robot counts as falling
+OUTSIDE = 0.02, 0.25  # DCM outside the support polygon, standing and walking, fraction of the leg's length
+JOINT_SPEED = 0.1, 1.0  # largest of its joints, standing and walking, fraction of the limit
+SPEED = 2.0, 0.5  # largest speed of the pelvis: fraction of the fastest walk, and a constant [m/s]
+
+
+def servo_torque(command: JointCommand, state: RobotState) -> FloatArray:
+    """(n,) what servos make of a command at a state [N·m]."""
+    return (
+        command.effort
+        + command.stiffness * (command.position - state.joint_position)
+        + command.damping * (command.velocity - state.joint_velocity)
+    )
+
+
+class Supervised:
+    """A controller whose commands are held between its updates, and checked.
+
+    Attributes:
+        command: the last one, None before the first.
+        fault: reason why its commands are not to be executed; empty without.
+        sound: duration for which nothing was wrong [s].
+    """
+
+    def __init__(self, robot: RobotDescription, controller: Controller) -> None:
+        tables, fall = robot.tables, robot.read(Tuning).fall
+        self.controller = controller
+        self.command: JointCommand | None = None
+        self.fault = ""
+        self.sound = 0.0
+        self._names, self._limit = robot.joints, robot.effort_limit
+        self._tilt = TILT * fall.tilt
+        self._fastest = SPEED[0] * tables.walking.max_forward_speed + SPEED[1]
+        self._joint_speeds = [share * robot.velocity_limit for share in JOINT_SPEED]
+        self._outside = [share * tables.size.leg for share in OUTSIDE]
+        self._corners, self._radius = sole_corners(tables.feet), inner_radius(tables.feet)
+        self._ticks = 0
+        self._mute = self._complaints = 0.0
+
+    def begin(self, state: RobotState, last: JointCommand | None) -> None:
+        """Start the controller from a state; ``last`` is the command in force."""
+        self.command, self.fault, self._ticks = None, "", 0
+        self.sound = self._mute = self._complaints = 0.0
+        try:
+            self.controller.begin(state, last)
+        except Exception as error:
+            self.fault = _text(error)
+
+    def update(self, state: RobotState, request: Request, dt: float) -> JointCommand | None:
+        """Command of a period of ``dt`` [s]: a new one, or the last one; None without, and after a fault."""
+        self._complaints = max(0.0, self._complaints - dt / PARDON)
+        self._mute += dt
+        before = self._complaints
+        if self._ticks % self.controller.period == 0 and not self.fault:
+            self._renew(state, request, self.controller.period * dt)
+        self._ticks += 1
+        self.fault = self.fault or self._outside_domain(state, request)
+        if not self.fault and self._mute > MUTE:
+            self.fault = f"no command for {self._mute:.3f} s; expected one within {MUTE} s"
+        self.sound = 0.0 if self.fault or self.command is None or self._complaints > before else self.sound + dt
+        return None if self.fault else self.command
+
+    def _renew(self, state: RobotState, request: Request, period: float) -> None:
+        began = time.perf_counter()
+        try:
+            command = self.controller.update(state, request, period)
+        except Exception as error:
+            self.fault = _text(error)
+            return
+        took = time.perf_counter() - began
+        if command is None:
+            return
+        self._mute = 0.0
+        self.fault = self._malformed(command)
+        if self.fault:
+            return
+        self.command = command
+        torque = np.abs(servo_torque(command, state)) / self._limit * self.controller.joints
+        worst = int(torque.argmax())
+        if torque[worst] > STRONGEST:
+            what = f"asks {torque[worst]:.1f} times the effort limit of {self._names[worst]}; expected {STRONGEST:g}"
+            self._complain(what)
+        if took > LATE * period:
+            self._complain(f"took {1e3 * took:.1f} ms; expected at most {1e3 * LATE * period:.1f} ms")
+
+    def _complain(self, what: str) -> None:
+        self._complaints += 1.0
+        if self._complaints >= PATIENCE:
+            self.fault = what
+
+    def _malformed(self, command: JointCommand) -> str:
+        for name in ("position", "velocity", "effort", "stiffness", "damping"):
+            vector = getattr(command, name)
+            if np.shape(vector) != self._limit.shape:
+                return f"{name} has the shape {np.shape(vector)}; expected {self._limit.shape}"
+            if not np.isfinite(vector).all():
+                return f"{name} of {self._names[int(np.argmin(np.isfinite(vector)))]} is not finite"
+        if (command.stiffness < 0.0).any() or (command.damping < 0.0).any():
+            return "stiffness or damping is negative"
+        return ""
+
+    def _outside_domain(self, state: RobotState, request: Request) -> str:
+        tilt = acos(min(1.0, max(-1.0, state.pelvis_rotation_in_odom.item(8))))
+        if tilt > self._tilt:
+            return f"the pelvis is tilted {degrees(tilt):.0f}°; expected at most {degrees(self._tilt):.0f}°"
+        speed = hypot(*state.pelvis_linear_velocity_in_odom[:2].tolist())
+        if speed > self._fastest:
+            return f"the pelvis moves at {speed:.2f} m/s; expected at most {self._fastest:.2f} m/s"
+        walks = request.locomotion is Locomotion.WALK
+        beyond = (np.abs(state.joint_velocity) - self._joint_speeds[walks]) * self.controller.joints
+        if beyond.max() > 0.0:
+            joint = int(beyond.argmax())
+            limit = self._joint_speeds[walks].item(joint)
+            return f"{self._names[joint]} moves at {limit + beyond.item(joint):.1f} rad/s; expected at most {limit:.1f}"
+        soles, (x, y, _) = (state.sole_positions_in_odom, state.sole_rotations_in_odom), state.dcm_in_odom.tolist()
+        limit = self._outside[walks]
+        if surely_within(*soles, self._radius, (x, y), limit):
+            return ""
+        outside = distance_outside(convex_hull(corners_on_ground(self._corners, *soles)), x, y)
+        if outside > limit:
+            return f"the DCM is {outside:.3f} m outside the support polygon; expected at most {limit:.3f} m"
+        return ""
+
+
+def _text(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}"
