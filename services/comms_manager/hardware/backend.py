@@ -221,6 +221,7 @@ class Hardware(Backend):
         self._sample()
         while (remaining := clock.remaining) and not clock.is_lost and time.monotonic() - began <= LONGEST_WAIT:
             self._wait(commands, remaining)
+            self._pacer.restart(1.0)  # a shorter wait for the next period would be too short, too
             self._sample()
         clock.end_period(lost=remaining > 0.0)
 

@@ -31,7 +31,8 @@ from valor.devices.can_frames import Code, Frame, Reply, is_valid
 from valor.devices.ports import CanBus, open_can
 from valor.devices.table import FtCan, MotorController, SupplyLimits, WrenchSensor
 
-GATHERING = 0.0015  # timeout of STATEs after SYNC [s]
+GATHERING = 0.0015  # timeout of STATEs after SYNC, once a unit has responded [s]
+FIRST = 0.003  # timeout of the first of them [s]
 ABSENT_AFTER = 10  # SYNCs without a STATE, after which a unit is not waited for
 ANSWER_TIME = 0.1  # timeout of a request [s]
 TRIES = 20  # of a request, at start
@@ -84,9 +85,10 @@ class CanDevice(Device):
             return
         self._requested = False
         with self._failing():
-            remaining = GATHERING
+            remaining = FIRST
             while remaining > 0.0 and not self._missing.isdisjoint(self._awaited):
-                remaining = max(0.0, GATHERING - 1e-9 * (time.monotonic_ns() - self._synced))
+                limit = FIRST if len(self._missing) == len(self.units) else GATHERING
+                remaining = max(0.0, limit - 1e-9 * (time.monotonic_ns() - self._synced))
                 self._listen(remaining)
             self._finish()
             self.looks += 1
