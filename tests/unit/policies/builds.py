@@ -84,7 +84,7 @@ def unitree(folder: Path, **changes: Any) -> Path:
         "joint_ids_map": order, "step_dt": 0.02, "default_joint_pos": ZERO.tolist(),
         **{name: values.tolist() for name, values in gains.items()},
         "commands": {"base_velocity": {"ranges": {"lin_vel_x": [-0.1, 0.2], "ang_vel_z": [-1, 1], "heading": None}}},
-        "actions": {"JointPositionAction": {"clip": [[-1.0, 1.0]] * 4, "scale": SCALE.tolist(),
+        "actions": {"JointPositionAction": {"clip": [[-0.4, 0.4]] * 4, "scale": SCALE.tolist(),
                                             "offset": ZERO.tolist(), "joint_names": [".*"]}},
         "observations": {
             "base_ang_vel": term | {"scale": [0.2] * 3},

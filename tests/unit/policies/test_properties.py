@@ -65,12 +65,12 @@ def test_the_order_of_joints_in_the_file_does_not_matter(order: list[int], seed:
 
 
 def test_gaits_advance_with_the_policy_and_rest_while_the_command_is_zero(tmp_path: Path) -> None:
-    file = affine(tmp_path / "g.onnx", {"obs": 4}, {"actions": {"obs": np.eye(4)}})
-    facts = {"joints": list(JOINTS), "period": 0.02, "action_scale": 1, "action_offset": 0, "stiffness": 1,
-             "damping": 1, "observation": ["gait_sin", "gait_cos"],
+    file = affine(tmp_path / "g.onnx", {"obs": 6}, {"actions": {"obs": np.eye(6)}})
+    facts = {"joints": list(ESCHER.joints[:6]), "period": 0.02, "action_scale": 1, "action_offset": 0, "stiffness": 1,
+             "damping": 1, "observation": ["gait_sin", "gait_cos", "gait_clock"],
              "gait": {"period": 0.08, "offsets": [0.0, 1.0], "standing": 3.0}}  # fmt: skip
     policy, state = Policy(load(write(file, facts), ESCHER), ESCHER), senses(np.random.default_rng(0))
     for command, phases in ((0.3, (0, 1)), (0.3, (np.pi / 2, 1 + np.pi / 2)), (0.0, (3, 3)), (0.3, (0, 1))):
         state.velocity_command[:] = [command, 0.0, 0.0]
-        expected = [*np.sin(phases), *np.cos(phases)]
+        expected = [*np.sin(phases), *np.cos(phases), np.sin(phases[0]), np.cos(phases[0])]
         assert policy.act(state).position == pytest.approx(expected, abs=1e-6)

@@ -6,13 +6,15 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from harness.onnx_file import affine
 from harness.places import ROBOTS
 from tests.unit.policies.builds import leapp, mjlab, unitree, write
 from tests.unit.policies.test_conventions import MJLAB, MOTORS
-from valor.common.errors import ConfigurationError
+from valor.common.errors import ConfigurationError, ValorError
 from valor.valorctl.terminal.app import app
 
 
@@ -50,6 +52,14 @@ def test_a_policy_is_added_with_all_its_files_listed_and_checked(robot: Path, tm
     assert "rejected: 2 problems" in valorctl("list", "--robot", str(robot))
     with pytest.raises(ConfigurationError, match=r"a.onnx: exists"):
         valorctl("add", str(write(mjlab(tmp_path / "a"), MJLAB)), "--robot", str(robot), "--name", "a")
+
+
+def test_targets_that_are_not_finite_are_reported(robot: Path, tmp_path: Path) -> None:
+    file = affine(tmp_path / "walk.onnx", {"obs": 3}, {"actions": {"obs": np.full((3, 1), 3e38)}})
+    facts = {"joints": ["l_knee_pitch"], "period": 0.02, "observation": [{"term": "velocity_command", "scale": 1e3}],
+             "action_scale": 1, "action_offset": 0, "stiffness": 1, "damping": 1}  # fmt: skip
+    with pytest.raises(ValorError, match="targets are not finite"):
+        valorctl("check", str(write(file, facts)), "--robot", str(robot))
 
 
 def test_what_is_rejected_is_shown_and_not_added(robot: Path, tmp_path: Path) -> None:
