@@ -137,13 +137,10 @@ def test_leapps_states_start_from_its_file(tmp_path: Path) -> None:
     assert targets[0] - targets[1] == pytest.approx(start @ weight, abs=1e-5)
 
 
-@pytest.mark.parametrize("pipeline", [{"feedback_flow": {}}, {"feedback_connections": [{"source": "net/action",
-                         "target": "net/last_action"}], "feedback_flow": None}])  # fmt: skip
-def test_leapps_states_are_named_in_several_ways(pipeline: dict[str, Any], tmp_path: Path) -> None:
-    state = {} if pipeline["feedback_flow"] is None else {"last_action": {"shape": [1, 4], "is_state": True}}
-    if state:
-        pipeline = {"feedback_flow": {"net/action": ["net/last_action"]}}
-    assert load(leapp(tmp_path, inputs=state, pipeline=pipeline), ESCHER).feedback == {"last_action": "action"}
+def test_leapps_connections_back_may_be_a_list(tmp_path: Path) -> None:
+    connections = [{"source": "net/action", "target": "net/last_action"}]
+    pipeline = {"feedback_flow": None, "feedback_connections": connections}
+    assert load(leapp(tmp_path, pipeline=pipeline), ESCHER).feedback == {"last_action": "action"}
 
 
 def test_recurrent_states_are_fed_back_by_their_names(tmp_path: Path) -> None:
@@ -222,6 +219,8 @@ REJECTED: dict[str, tuple[Callable[..., Path], dict[str, Any], dict[str, Any], s
                      "outputs.stiffness: other joints: r_elbow_pitch, r_knee_pitch"),
     "a shape": (leapp, {"inputs": {"gyro": {"kind": "state/body/angular_velocity", "shape": [1, 6]}}}, {},
                 r"observation gyro .*: size 6; expected 3"),
+    "a state without output": (leapp, {"inputs": {"last_action": {"shape": [1, 4], "is_state": True}},
+                                       "pipeline": {"feedback_flow": {}}}, {}, "feedback.last_action: last_action, sizes"),
     "sizes of feedback": (leapp, {}, {"feedback": {"gyro": "action", "last_action": "action"}},
                           "feedback.gyro: action"),
     "constants": (mjlab, {}, MJLAB | {"constants": {"obs": [1.0]}}, "constants.obs: 1 values"),
