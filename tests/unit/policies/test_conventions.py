@@ -220,7 +220,7 @@ REJECTED: dict[str, tuple[Callable[..., Path], dict[str, Any], dict[str, Any], s
     "a shape": (leapp, {"inputs": {"gyro": {"kind": "state/body/angular_velocity", "shape": [1, 6]}}}, {},
                 r"observation gyro .*: size 6; expected 3"),
     "a state without output": (leapp, {"inputs": {"last_action": {"shape": [1, 4], "is_state": True}},
-                                       "pipeline": {"feedback_flow": {}}}, {}, "feedback.last_action: last_action, sizes"),
+                                       "pipeline": {"feedback_flow": {}}}, {}, "feedback.last_action: last_action,"),
     "sizes of feedback": (leapp, {}, {"feedback": {"gyro": "action", "last_action": "action"}},
                           "feedback.gyro: action"),
     "constants": (mjlab, {}, MJLAB | {"constants": {"obs": [1.0]}}, "constants.obs: 1 values"),
