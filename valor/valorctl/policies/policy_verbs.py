@@ -85,7 +85,7 @@ def list_policies(robot: OptionalRobot = None, json: Json = False) -> None:
     if json:
         say_json(rows)
     elif not rows:
-        say("no policies; `valorctl policy add` adds one")
+        say("no policies; `valorctl policy add FILE` adds one")
     else:
         shown = table("robot", "policy", "convention", "joints", "period [s]", "", numbers=("joints", "period [s]"))
         for row in rows:
