@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,11 +16,16 @@ import onnxruntime
 import pytest
 
 from harness.onnx_file import BIAS, affine
+from harness.places import REPOSITORY
 from tests.unit.policies.builds import ESCHER, robot_with, senses, weights, write
+from valor.common.document import Document
 from valor.common.errors import ConfigurationError
 from valor.common.rotation import quaternion, vertical
+from valor.common.table import checked
 from valor.policies.contract import PolicyError, load
+from valor.policies.facts import FACTS, Sidecar
 from valor.policies.model_file import ModelFile
+from valor.policies.observations import TERMS
 from valor.policies.policy import Policy
 
 NAN = {"actions": {"obs": np.full((3, 2), np.nan), BIAS: np.zeros(2)}}
@@ -136,3 +142,12 @@ def test_the_dance_is_rejected_by_the_terms_that_are_not_known_here(tmp_path: Pa
     terms = ["last_action", "base_angular_velocity", "joint_position_relative", "joint_velocity", "motion_command"]
     with pytest.raises(PolicyError, match="motion_command: not known here"):
         load(write(file, facts("g1") | {"observation": terms}), ESCHER)
+
+
+def test_the_page_shows_a_valid_sidecar_of_every_fact_and_names_every_term() -> None:
+    page = (REPOSITORY / "docs" / "controllers.md").read_text()
+    shown = next(block for block in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if "history_order" in block)
+    content = Document(Path("shown.yaml"), shown.encode()).content
+    assert isinstance(content, dict) and set(content) == set(FACTS)
+    checked(Sidecar, content)
+    assert [name for name in TERMS if f"`{name}`" not in page] == []
