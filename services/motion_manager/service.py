@@ -24,6 +24,7 @@ from valor.common.topics import (
     STEP_STATUS,
 )
 from valor.common.trace import Stage
+from valor.motion_manager.controllers import controller_factories
 from valor.motion_manager.handlers.handler import Handler, make_all
 from valor.motion_manager.manager import MotionManager
 from valor.motion_manager.safety import REFLEX_ACTIVE
@@ -55,7 +56,8 @@ class MotionManagerService:
         self._trace = context.trace
         self._statistics.state("starting", "building the Whole-Body Controller")
         node = context.node
-        self._manager = MotionManager(context.robot, controller_model(context.robot))
+        robot = context.robot
+        self._manager = MotionManager(robot, controller_model(robot), controller_factories(robot))
         self._motor = MOTOR.publisher(node)
         self._motion_state = MOTION_STATE.publisher(node)
         self._behavior_change = BEHAVIOR_CHANGE.publisher(node)

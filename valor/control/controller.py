@@ -59,10 +59,11 @@ class JointCommand:
 class Controller(ABC):
     """Controls the joints while the robot balances."""
 
-    name: ClassVar[str]  # in robot.yaml and for clients
+    name: str  # in robot.yaml and for clients
     states: ClassVar[frozenset[Locomotion]]  # of the Locomotion FSM that it serves
     takes_footsteps: ClassVar[bool] = False
     period: int = 1  # between updates, in control periods
+    warm_up: float = 0.0  # time for which it must see the robot before it is in control [s]
     joints: Joints  # (n,) mask of joints that it commands; the others follow their targets
 
     @property

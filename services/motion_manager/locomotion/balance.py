@@ -67,7 +67,7 @@ class BalanceControl:
         self._failures = self._failures + 1 if infeasible else 0
         if self._failures >= self._most_failures and self._fsm.may_go(Behavior.SOFT_STOP):
             self._fsm.go(Behavior.SOFT_STOP, f"the whole-body QP was infeasible for {self._failures} periods in a row")
-        fault = self._exchange.settled(state, dt, now)
+        fault = self._exchange.settled(now)
         if fault and self._fsm.may_go(Behavior.SOFT_STOP):
             self._fsm.go(Behavior.SOFT_STOP, fault)
 

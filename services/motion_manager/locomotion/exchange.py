@@ -28,8 +28,10 @@ SHADOW = 0.1  # duration of sound commands before control [s]
 BLEND = 0.3  # from one controller to the next [s]
 QUICK = 0.1  # to the Whole-Body Controller, from one that failed [s]
 WAITING = 3.0  # longest time for the conditions of an exchange [s]
-STILL, SETTLED, LONGEST = 0.05, 0.5, 4.0  # speed of the CoM at rest [m/s], for so long, at the latest then [s]
-REACH = 0.4  # of a step to keep the balance, fraction of the leg's length
+STILL = 0.05  # speed of the CoM at rest [m/s]
+SLOW = 0.15  # speed of the CoM at which the Whole-Body Controller takes over [m/s]
+CALM = 0.2  # duration at rest before steps, after an exchange [s]
+SETTLED, LONGEST = 0.5, 4.0  # duration at rest before Soft Stop, after a failure; longest time until then [s]
 
 BEHAVIORS = {Locomotion.STAND: "stand", Locomotion.WALK: "walk"}
 """State of the Locomotion FSM → key of ``controllers`` in robot.yaml; in others the Whole-Body Controller is used."""
@@ -84,7 +86,8 @@ class ControllerExchange:
         self._old: Controller | None = None  # whose commands fade out
         self._old_command: JointCommand | None = None
         self._blend = (0.0, BLEND)  # its start and duration [s]
-        self._rested = 0.0  # [s]
+        self._calm = 0.0  # duration at rest [s]
+        self._arriving = False  # whether the Whole-Body Controller still brings the robot to rest
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,15 +100,12 @@ class ControllerExchange:
         return self.active.at_rest
 
     def footholds(self, state: RobotState) -> tuple[FloatArray, FloatArray] | None:
-        """Soles after the step under way, as of ``Controller``; unknown ones are where the DCM needs them, in reach."""
-        if self.active.at_rest or self.active is self._whole_body:
-            return self.active.footholds(state)
-        if found := self.active.footholds(state):
+        """Soles after the step under way, as of ``Controller``; if the controller does not know, under the DCM."""
+        found = self.active.footholds(state)
+        if found is not None or self.active.at_rest or self.active is self._whole_body:
             return found
-        positions, foot = state.sole_positions_in_odom.copy(), int(state.foot_forces.argmin())
-        way = state.dcm_in_odom[:2] - positions[1 - foot, :2]
-        reach = REACH * self._robot.tables.size.leg
-        positions[foot, :2] = positions[1 - foot, :2] + way * min(1.0, reach / max(float(np.hypot(*way)), 1e-9))
+        positions = state.sole_positions_in_odom.copy()
+        positions[int(state.foot_forces.argmin()), :2] = state.dcm_in_odom[:2]
         return positions, state.sole_rotations_in_odom
 
     def choose(self, name: str, state: RobotState | None) -> str:
@@ -143,6 +143,7 @@ class ControllerExchange:
 
     def update(self, state: RobotState, request: Request, dt: float, now: float) -> JointCommand:
         """Command of a period of ``dt`` [s] at robot time ``now`` [s]."""
+        self._calm = self._calm + dt if self._whole_body.at_rest and _speed(state) < STILL else 0.0
         if self.failed:
             request = replace(request, locomotion=Locomotion.STAND, steps=None, velocity=np.zeros(3))
         wanted = WHOLE_BODY if self.failed else self.chosen.get(request.locomotion, WHOLE_BODY)
@@ -152,7 +153,8 @@ class ControllerExchange:
             self._prepare(wanted, state, now)
         if self.pending:
             self._take_up(state, request, dt, now)
-        if self.pending and self.active.at_rest:  # steps wait for who is to take them
+        self._arriving = self._arriving and self._calm < CALM
+        if self._arriving or self.pending:  # the robot comes to rest, and steps wait for who is to take them
             request = replace(request, steps=None, velocity=np.zeros(3))
         command = self._of(self.active, state, request, dt)
         if command is None:
@@ -162,13 +164,11 @@ class ControllerExchange:
         self._command = command = self._faded(command, state, request, dt, now)
         return command
 
-    def settled(self, state: RobotState, dt: float, now: float) -> str:
+    def settled(self, now: float) -> str:
         """Return the fault of a controller once the robot is at rest after it; empty before, and without one."""
         if not self.failed:
             return ""
-        still = self._whole_body.at_rest and hypot(*state.com_velocity_in_odom[:2].tolist()) < STILL
-        self._rested = self._rested + dt if still else 0.0
-        if self._rested < SETTLED and now - self._since < LONGEST:
+        if self._calm < SETTLED and now - self._since < LONGEST:
             return ""
         fault, self.failed = self.failed, ""
         return fault
@@ -193,16 +193,18 @@ class ControllerExchange:
         name, reason = self.pending, self._not_loaded(state)
         if name == WHOLE_BODY:
             urgent = request.locomotion is Locomotion.SOFT_STOP or now - self._since > WAITING
-            if urgent or not reason:
+            slow = not reason and _speed(state) < SLOW and now - self._since > 0.5 * WAITING
+            if urgent or slow or self.active.at_rest:
                 self._exchange(self._whole_body, state, now, BLEND)
             return
         supervised = self._others[name]
-        supervised.update(state, request, dt)
+        supervised.update(state, replace(request, velocity=np.zeros(3), steps=None), dt)
         if not (reason := supervised.fault or reason or supervised.controller.refusal(state)):
-            if supervised.sound >= SHADOW:
+            shadow = max(SHADOW, supervised.controller.warm_up)
+            if supervised.sound >= shadow:
                 self._exchange(supervised.controller, state, now, BLEND)
                 return
-            reason = f"its commands were sound for {supervised.sound:.3f} s; expected {SHADOW} s"
+            reason = f"its commands were sound for {supervised.sound:.3f} s; expected {shadow:.3f} s"
         if supervised.fault or now - self._since > WAITING:
             self.chosen |= dict.fromkeys((each for each, chosen in self.chosen.items() if chosen == name), WHOLE_BODY)
             self._withdraw()
@@ -217,6 +219,7 @@ class ControllerExchange:
         if controller is self._whole_body:
             self._whole_body.begin(state, self._command)
             self._whole_body.catch(state)
+            self._arriving, self._calm = True, 0.0
 
     def _fail(self, state: RobotState, now: float) -> None:
         """Return control to the Whole-Body Controller at once, because the active one has a fault."""
@@ -224,7 +227,7 @@ class ControllerExchange:
         self._exchange(self._whole_body, state, now, QUICK)
         self.failed = self.reason = f"{name}: {self._others[name].fault}"
         self.chosen = dict.fromkeys(self.chosen, WHOLE_BODY)
-        self._since, self._rested = now, 0.0
+        self._since = now
         assert self._old is not None
         self._old.end()
         self._old = None  # its last command fades out
@@ -266,3 +269,7 @@ class ControllerExchange:
         if self._old is not None and (still := self._of(self._old, state, replace(request, steps=None), dt)):
             self._old_command = still
         return blended(self._old_command, command, share)
+
+
+def _speed(state: RobotState) -> float:
+    return hypot(*state.com_velocity_in_odom[:2].tolist())

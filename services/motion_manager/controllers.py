@@ -1,0 +1,34 @@
+"""Controllers of a robot beside the Whole-Body Controller, from the names in ``controllers`` of robot.yaml."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from valor.control.controller import Controller, ControllerFactory
+from valor.control.kinematics import Kinematics
+from valor.robot.description import RobotDescription
+from valor.robot.motion_tables import WHOLE_BODY
+
+
+def controller_factories(robot: RobotDescription) -> list[ControllerFactory]:
+    """Return one factory for each name. Raises ConfigurationError: there is no such controller or policy."""
+    table = robot.tables.controllers
+    names = dict.fromkeys(name for behavior in ("stand", "walk") for name in table.names(behavior))
+    return [partial(_policy, name) for name in names if name != WHOLE_BODY]
+
+
+def _policy(name: str, robot: RobotDescription, kinematics: Kinematics) -> Controller:
+    # onnxruntime is needed by robots with policies only.
+    from valor.policies.contract import load
+    from valor.policies.controller import PolicyController
+    from valor.policies.policy import Policy
+
+    file = robot.folder / "policies" / f"{name}.onnx"
+    if not file.is_file():
+        known = ", ".join(sorted(each.stem for each in file.parent.glob("*.onnx"))) or "none"
+        raise robot.error(
+            ("controllers",),
+            f"no controller {name!r}; expected {WHOLE_BODY} or a policy in {file.parent} ({known}); "
+            "`valorctl policy add` adds one",
+        )
+    return PolicyController(Policy(load(file, robot), robot), robot)
