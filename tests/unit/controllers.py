@@ -100,7 +100,7 @@ SPOILED: dict[str, tuple[Spoil, str]] = {
     "silence": (lambda s, c, x: None, "no command for"),
     "sleep": (_sleeps, "ms; expected at most"),
     "spikes": (_spikes, "expected at most"),
-    "kick": (_kicks, "times the effort limit"),
+    "kick": (_kicks, "effort limit; expected"),
     "drift": (_drifts, "outside the support polygon"),
     "reversed": (_reverses, ""),
     "no torque": (lambda s, c, x: replace(c, effort=0.0 * c.effort, stiffness=0.0 * c.stiffness), ""),

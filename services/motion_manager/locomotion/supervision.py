@@ -105,8 +105,8 @@ class Supervised:
         torque = np.abs(servo_torque(command, state)) / self._limit * self.controller.joints
         worst = int(torque.argmax())
         if torque[worst] > STRONGEST:
-            what = f"asks {torque[worst]:.1f} times the effort limit of {self._names[worst]}; expected at most {STRONGEST:g}"
-            self._complain(what)
+            name = self._names[worst]
+            self._complain(f"asks {torque[worst]:.1f} times {name}'s effort limit; expected at most {STRONGEST:g}")
         if took > LATE * period:
             self._complain(f"took {1e3 * took:.1f} ms; expected at most {1e3 * LATE * period:.1f} ms")
 
