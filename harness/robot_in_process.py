@@ -1,38 +1,28 @@
-"""Plant and Motion Manager in one process, without sockets: behaviors are asked for, Motors obeyed."""
+"""A robot in one process that falls and gets up."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
-from valor.common.messages import BehaviorRequest, Motor, Proprioceptor
 from valor.control.controller import ControllerFactory
-from valor.motion_manager.handlers.behavior import BehaviorHandler
-from valor.motion_manager.manager import MotionManager
 from valor.robot.description import RobotDescription
-from valor.robot.model import controller_model
-from valor.simulation.plant import Plant
-from valor.simulation.sensors import Sensors
+from valor.self_test import robot_in_process
 
 LYING = 3.0  # after a fall [s]
 STANDING = 2.0  # in Stand, at the end [s]
 
 
-class RobotInProcess:
-    """A robot in a world with the Motion Manager that drives it, without sockets.
+class RobotInProcess(robot_in_process.RobotInProcess):
+    """A robot in a world under its Motion Manager.
 
     Attributes:
         peak: (n,) largest torque of each joint [N·m]; set it to zero to begin anew.
-        measured: what the sensors said in the last period, and motor: what was made of it.
-        each: called in every period, once both are there.
     """
-
-    measured: Proprioceptor
-    motor: Motor
 
     def __init__(
         self,
@@ -42,53 +32,13 @@ class RobotInProcess:
         world: str = "flat",
         others: Sequence[ControllerFactory] = (),
     ) -> None:
-        self.plant = Plant(robot, world, profile, seed)
-        self.manager = MotionManager(robot, controller_model(robot), others)
+        super().__init__(robot, profile, seed, world, others)
         self.peak: FloatArray = np.zeros(len(robot.joints))
-        self._sensors = Sensors(robot, self.plant, robot.tables.actuators[profile].noise, seed)
-        self._period = robot.control_period
-        self._substeps = round(robot.control_period / self.plant.step_time)
-        self._sequence = 0
-        self.each: Callable[[], None] | None = None
-
-    @property
-    def time(self) -> float:
-        """Robot time [s]."""
-        return self._sequence * self._period
-
-    @property
-    def behavior(self) -> Behavior:
-        """Of the Motion Manager."""
-        return self.manager.fsm.behavior
-
-    def ask(self, behavior: Behavior) -> str:
-        """Ask for a behavior: why it was refused, or an empty text."""
-        reply = BehaviorHandler(self.manager.components).handle(BehaviorRequest(behavior), "benchmark")
-        return "" if reply.accepted else reply.reason
 
     def step(self) -> None:
         """One control period."""
-        self._sequence += 1
-        self.measured = self._sensors.measure(self._sequence, round(self.time * 1e9))
-        self.motor = self.manager.tick(self.measured)
-        if self.each is not None:
-            self.each()
-        self.plant.actuators.obey(self.motor)
-        self.plant.step(self._substeps)
+        super().step()
         np.maximum(self.peak, np.abs(self.plant.actuators.effort), out=self.peak)
-
-    def run(self, seconds: float) -> None:
-        """So long."""
-        for _ in range(round(seconds / self._period)):
-            self.step()
-
-    def run_until(self, condition: Callable[[], bool], seconds: float) -> bool:
-        """Until a condition holds, at most so long; whether it came to hold."""
-        for _ in range(round(seconds / self._period)):
-            if condition():
-                return True
-            self.step()
-        return condition()
 
     def fall(self, push: tuple[float, float, float]) -> None:
         """Stand, be pushed over, lie still."""

@@ -11,12 +11,9 @@ from enum import Enum
 import mujoco
 import numpy as np
 
-from bifrost import Received
 from harness.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
-from valor.common.messages import VelocityCommand
-from valor.motion_manager.handlers.motion import VelocityHandler
 from valor.robot.description import RobotDescription
 from valor.whole_body.reflex import BalanceReflex
 
@@ -53,15 +50,6 @@ class WalkingRobot(RobotInProcess):
         assert self.run_until(lambda: not self.ask(Behavior.STAND), 10.0), self.ask(Behavior.STAND)
         self.run(1.0)
         assert not self.ask(Behavior.WALK)
-
-    def walk(self, velocity: tuple[float, float, float], seconds: float) -> None:
-        """Forward, left [m/s], turning [rad/s]."""
-        for _ in range(round(seconds / self._period)):
-            command = VelocityCommand(self.manager.time, *velocity)
-            VelocityHandler(self.manager.components).handle(
-                Received(command, 0, 1, "valor_ros_controller"), self.manager.time
-            )
-            self.step()
 
     def abandon(self, then: Then, blind: int = 0) -> End:
         """Let nobody lead it, and see what becomes of it; then it is back where it was, and walks on.

@@ -34,6 +34,7 @@ GOAL = f"/flor/{HANDS[HAND]}/goal_pose"  # for VRC and recorder
 WHERE = ("ahead", "behind")
 MOVING, REACHED, OUT_OF_REACH = "moving", "reached", "out_of_reach"
 PATIENCE = 20.0  # timeout of the acceptance of a goal [s]
+DISCOVERY = 60.0  # until VRC and recorder subscribe [s]
 LONGEST = 120.0  # timeout of its result; the clock may be slow [s]
 
 
@@ -91,7 +92,7 @@ class HandGoalClient:
         self._hand = Hand(robot, SIDE)
         self._statuses = HAND_GOAL_STATUS.subscriber(node, queue=200)
         # Subscribers: VRC and recorder.
-        self._goals = ros.publisher(PoseStamped, GOAL.lstrip("/"), 2)
+        self._goals = ros.publisher(PoseStamped, GOAL.lstrip("/"), 2, DISCOVERY)
         self._status: HandGoalStatus | None = None
 
     def send(self, goal: HandTarget) -> HandGoalStatus:

@@ -42,6 +42,7 @@ FLOOR_RATE = 50.0  # of the doubles that the floor is measured with [Hz]
 DOUBLES, QUICK_DOUBLES = 400, 25
 REST = 0.7  # between two motions or mode changes [robot time, s]
 PATIENCE = 20.0  # [s]
+DISCOVERY = 60.0  # until VRC and recorder subscribe, while all processes start on busy cores [s]
 VRC, VRC_RATE = "valor_ros_controller", "VRC's updates asked for at"
 _THESIS = {"mode change": "49", "proprioception": "40", JOINT_COMMAND: "335"}
 _WHY = {
@@ -191,8 +192,8 @@ def _record(run: Run, bag: Path, profile: str, number: int) -> tuple[RobotDescri
             told: list[str] = []
             ros.subscribe(ControlModeStatus, MODE_REPORT, lambda report: told.append(report.current_control_mode), 10)
             # Subscribers: VRC and recorder.
-            modes = ros.publisher(VigirControlModeCommand, MODE_COMMAND, 2)
-            arm = ros.publisher(JointTrajectory, REFERENCE, 2)
+            modes = ros.publisher(VigirControlModeCommand, MODE_COMMAND, 2, DISCOVERY)
+            arm = ros.publisher(JointTrajectory, REFERENCE, 2, DISCOVERY)
             rate = vrc_rate(ros, settings)
             run.note({VRC_RATE: f"{rate:g} Hz"})
             _set_parameter(ros, VRC, f"{CONTROLLER.rpartition('/')[2]}.state_publish_rate", rate)

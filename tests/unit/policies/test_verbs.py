@@ -43,10 +43,10 @@ def test_a_policy_is_added_with_all_its_files_listed_and_checked(robot: Path, tm
         (name, 4, 0.02) for name in ("a", "b", "c")
     ]
     for name in ("a", "b", "c"):
-        checked = json.loads(valorctl("check", name, "--robot", str(robot), "--json"))
+        checked = json.loads(valorctl("check", name, "--robot", str(robot), "--json", "--no-play"))
         assert checked["trial"]["finite"] and checked["trial"]["acts"] == 100
         assert checked["trial"]["p99"] >= checked["trial"]["median"] > 0
-    shown = valorctl("check", "a", "--robot", str(robot))
+    shown = valorctl("check", "a", "--robot", str(robot), "--no-play")
     assert "metadata joint_stiffness" in shown and "user" in shown and "default" in shown
     (robot / "policies" / "a.yaml").unlink()
     assert "rejected: 2 problems" in valorctl("list", "--robot", str(robot))

@@ -12,12 +12,13 @@ import typer
 from valor.common.errors import ConfigurationError, ValorError, expected
 from valor.common.resources import policies, robot_folder, robots
 from valor.valorctl.terminal import completion
-from valor.valorctl.terminal.console import rich_console, say, say_json, table
+from valor.valorctl.terminal.console import Interruption, progress, rich_console, say, say_json, table
 from valor.valorctl.terminal.options import Json, OptionalRobot, Robot
 
 if TYPE_CHECKING:
     from valor.policies.contract import Contract
     from valor.robot.description import RobotDescription
+    from valor.self_test.results import AcceptanceResult
 
 policy = typer.Typer(
     name="policy", help="Add, list and check robots' trained policies.", no_args_is_help=True, rich_markup_mode=None
@@ -95,12 +96,23 @@ def list_policies(robot: OptionalRobot = None, json: Json = False) -> None:
 
 
 @policy.command()
-def check(named: Named, *, robot: Robot = "escher", json: Json = False) -> None:
-    """Show every fact about a policy with its source, and let it act on 100 random states."""
+def check(
+    named: Named,
+    *,
+    robot: Robot = "escher",
+    no_play: Annotated[bool, typer.Option("--no-play", help="Do not simulate the robot.")] = False,
+    json: Json = False,
+) -> None:
+    """Show every fact about a policy with its source, let it act on 100 random states, then control the robot.
+
+    In simulation it takes over from the Whole-Body Controller, is pushed, walks, and gives back.
+    """
     import msgspec
 
     from valor.policies import trial
     from valor.policies.policy import Policy
+    from valor.valorctl.robots import robot_check
+    from valor.valorctl.robots.robot_verbs import results_table
 
     known = {file.stem: file for file in policies(robot)}
     file = known.get(named, Path(named).expanduser())
@@ -109,14 +121,23 @@ def check(named: Named, *, robot: Robot = "escher", json: Json = False) -> None:
     described = _described(robot)
     contract = _load(file, described, shown=not json)
     result = trial.run(Policy(contract, described), described)
+    results: list[AcceptanceResult] = []
+    if result.finite and not no_play:
+        with progress() as shown, Interruption() as interruption:
+            results = robot_check.run(robot_folder(robot), interruption.check, shown.waiting, file)
     if json:
-        say_json({"policy": str(file), "facts": msgspec.to_builtins(contract.facts), "trial": asdict(result)})
+        found = {"facts": msgspec.to_builtins(contract.facts), "trial": asdict(result)}
+        say_json({"policy": str(file), **found, "rungs": msgspec.to_builtins(results)})
     else:
         times = f"{result.median * 1e3:.2f} ms median, {result.p99 * 1e3:.2f} ms p99 of {contract.period * 1e3:g} ms"
         within = f"{result.within:.0%} of targets within {described.name}'s limits"
         say(f"{file.stat().st_size / 1e3:.0f} kB; {result.acts} acts on random states: {times}; {within}")
     if not result.finite:
         raise ValorError(f"{named}: targets are not finite on random states; expected finite numbers")
+    if results and not json:
+        rich_console().print(results_table(results))
+    if failed := [f"{each.name} ({each.profile})" for each in results if not each.passed]:
+        raise ValorError(f"{named}: {len(failed)} of {len(results)} tests failed: {', '.join(failed)}")
 
 
 def _described(robot: str) -> RobotDescription:

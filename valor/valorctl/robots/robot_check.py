@@ -32,16 +32,20 @@ _POLL = 0.2  # [s]
 _ONE_CORE = {"OPENBLAS_NUM_THREADS": "1", "MUJOCO_GL": "disable"}  # for each process
 
 
-def run(folder: Path, check: Callable[[], None], tell: Callable[[str], None]) -> list[AcceptanceResult]:
+def run(
+    folder: Path, check: Callable[[], None], tell: Callable[[str], None], policy: Path | None = None
+) -> list[AcceptanceResult]:
     """Run all acceptance tests of a robot under all profiles, concurrently; returns the results by profile.
 
     ``check`` is called often and may raise, which ends the processes; ``tell``, with the name of the test that starts.
+    ``policy``: run those of a policy's ONNX file instead.
     """
+    arguments = [str(folder)] if policy is None else [str(folder), "--policy", str(policy)]
     lines: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
     results: dict[str, list[AcceptanceResult]] = {profile: [] for profile in PROFILES}
     last, running = dict.fromkeys(PROFILES, ""), len(PROFILES)
     with contextlib.ExitStack() as stack:
-        children = {profile: stack.enter_context(_child(folder, profile)) for profile in PROFILES}
+        children = {profile: stack.enter_context(_child([*arguments, profile])) for profile in PROFILES}
         for profile, child in children.items():
             threading.Thread(target=_read, args=(profile, child.stdout, lines), daemon=True).start()
         while running:
@@ -72,10 +76,10 @@ def _read(profile: str, stream: IO[str], lines: queue.SimpleQueue[tuple[str, str
 
 
 @contextlib.contextmanager
-def _child(folder: Path, profile: str) -> Iterator[subprocess.Popen[str]]:
+def _child(arguments: list[str]) -> Iterator[subprocess.Popen[str]]:
     """Run the self-test of one profile; its process ends with the context."""
     with subprocess.Popen(
-        [sys.executable, "-m", "valor.self_test", str(folder), profile],
+        [sys.executable, "-m", "valor.self_test", *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -70,12 +70,13 @@ def check(
         for line in notes:
             say(f"  {line}")
         if results:
-            rich_console().print(_results(results))
+            rich_console().print(results_table(results))
     if failed := [f"{result.name} ({result.profile})" for result in results if not result.passed]:
         raise ValorError(f"{named}: {len(failed)} of {len(results)} tests failed: {', '.join(failed)}")
 
 
-def _results(results: list[AcceptanceResult]) -> Table:
+def results_table(results: list[AcceptanceResult]) -> Table:
+    """Table of acceptance tests."""
     from rich.markup import escape
 
     numbers = ("tilt [°]", r"DCM \[mm]", r"distance \[m]", "knee [°]", "no QP")
