@@ -61,7 +61,8 @@ class Controller(ABC):
 
     name: str  # in robot.yaml and for clients
     states: ClassVar[frozenset[Locomotion]]  # of the Locomotion FSM that it serves
-    takes_footsteps: ClassVar[bool] = False
+    takes_footsteps: ClassVar[bool] = False  # those of a request
+    steps_to_balance: ClassVar[bool] = False  # by itself, also while the robot stands
     period: int = 1  # between updates, in control periods
     warm_up: float = 0.0  # time for which it must see the robot before it is in control [s]
     joints: Joints  # (n,) mask of joints that it commands; the others follow their targets

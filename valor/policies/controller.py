@@ -22,6 +22,7 @@ class PolicyController(Controller):
     """Walks at a velocity, and stands if it is zero; commands the policy's joints."""
 
     states = frozenset({Locomotion.STAND, Locomotion.WALK})
+    steps_to_balance = True
 
     def __init__(self, policy: Policy, robot: RobotDescription) -> None:
         """Raises ConfigurationError: the policy's period is no multiple of the control period."""

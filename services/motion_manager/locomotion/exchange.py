@@ -102,15 +102,17 @@ class ControllerExchange:
     def footholds(self, state: RobotState) -> tuple[FloatArray, FloatArray] | None:
         """Soles after the step under way, as of ``Controller``; if the controller does not know, under the DCM."""
         found = self.active.footholds(state)
-        if found is not None or self.active.at_rest or self.active is self._whole_body:
+        if found is not None or self.active is self._whole_body:
             return found
+        if self.active.at_rest and not self.active.steps_to_balance:
+            return None
         positions = state.sole_positions_in_odom.copy()
         positions[int(state.foot_forces.argmin()), :2] = state.dcm_in_odom[:2]
         return positions, state.sole_rotations_in_odom
 
     def choose(self, name: str, state: RobotState | None) -> str:
         """Choose a controller for all states that may have it; returns the reason of a rejection, or an empty text."""
-        states = [each for each, names in self.allowed.items() if name in names]
+        states = [each for each, names in self.allowed.items() if name in names and each in self._named(name).states]
         if name not in self.names or not states:
             lists = "; ".join(f"{BEHAVIORS[each]}: {', '.join(names)}" for each, names in self.allowed.items())
             return f"no controller {name[:64]!r} for this robot; expected of its robot.yaml, controllers: {lists}"
@@ -146,7 +148,7 @@ class ControllerExchange:
         self._calm = self._calm + dt if self._whole_body.at_rest and _speed(state) < STILL else 0.0
         if self.failed:
             request = replace(request, locomotion=Locomotion.STAND, steps=None, velocity=np.zeros(3))
-        wanted = WHOLE_BODY if self.failed else self.chosen.get(request.locomotion, WHOLE_BODY)
+        wanted = WHOLE_BODY if self.failed else self._wanted(request.locomotion)
         if wanted == self.active.name:
             self._withdraw()
         elif wanted != self.pending:
@@ -172,6 +174,15 @@ class ControllerExchange:
             return ""
         fault, self.failed = self.failed, ""
         return fault
+
+    def _named(self, name: str) -> Controller:
+        return self._others[name].controller if name in self._others else self._whole_body
+
+    def _wanted(self, locomotion: Locomotion) -> str:
+        """Name of the controller that is to serve a state; plans of footsteps go to who takes them."""
+        if locomotion is Locomotion.STEP and self._named(self.chosen[Locomotion.WALK]).takes_footsteps:
+            return self.chosen[Locomotion.WALK]
+        return self.chosen.get(locomotion, WHOLE_BODY)
 
     def _prepare(self, name: str, state: RobotState, now: float) -> None:
         """Let a controller run in shadow."""

@@ -133,7 +133,7 @@ class Supervised:
         speed = hypot(*state.pelvis_linear_velocity_in_odom[:2].tolist())
         if speed > self._fastest:
             return f"the pelvis moves at {speed:.2f} m/s; expected at most {self._fastest:.2f} m/s"
-        walks = request.locomotion is Locomotion.WALK
+        walks = request.locomotion is Locomotion.WALK or self.controller.steps_to_balance
         beyond = (np.abs(state.joint_velocity) - self._joint_speeds[walks]) * self._legs
         if beyond.max() > 0.0:
             joint = int(beyond.argmax())
