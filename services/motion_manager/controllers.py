@@ -13,8 +13,7 @@ from valor.robot.motion_tables import WHOLE_BODY
 
 def controller_factories(robot: RobotDescription) -> list[ControllerFactory]:
     """Return one factory for each name. Raises ConfigurationError: there is no such controller or policy."""
-    table = robot.tables.controllers
-    names = dict.fromkeys(name for behavior in ("stand", "walk") for name in table.names(behavior))
+    names = dict.fromkeys(name for each in robot.tables.controllers.names().values() for name in each)
     return [partial(policy_controller, _file(name, robot)) for name in names if name != WHOLE_BODY]
 
 

@@ -1,9 +1,10 @@
 """Tables of robot.yaml for motion; those that only controllers read are in ``valor.control.tuning_tables``."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from msgspec import Meta
 
+from valor.common.behaviors import Locomotion
 from valor.common.table import NonNegative, Positive, Table, require_order
 from valor.robot.size import Force, Length, Rate, Sole, Speed, SquaredRate, Time
 
@@ -79,10 +80,10 @@ class Controllers(Table):
     stand: str | list[str] = WHOLE_BODY
     walk: str | list[str] = WHOLE_BODY
 
-    def names(self, behavior: Literal["stand", "walk"]) -> list[str]:
-        """Return those of one behavior; it is never empty."""
-        value: str | list[str] = getattr(self, behavior)
-        return [value] if isinstance(value, str) else value or [WHOLE_BODY]
+    def names(self) -> dict[Locomotion, list[str]]:
+        """Return state of the Locomotion FSM → its controllers, never empty."""
+        found = {Locomotion(name): getattr(self, name) for name in self.__struct_fields__}
+        return {state: [each] if isinstance(each, str) else each or [WHOLE_BODY] for state, each in found.items()}
 
 
 class PelvisMotion(Table):

@@ -33,9 +33,6 @@ SLOW = 0.15  # speed of the CoM at which the Whole-Body Controller takes over [m
 CALM = 0.2  # duration at rest before steps, after an exchange [s]
 SETTLED, LONGEST = 0.5, 4.0  # duration at rest before Soft Stop, after a failure; longest time until then [s]
 
-BEHAVIORS = {Locomotion.STAND: "stand", Locomotion.WALK: "walk"}
-"""State of the Locomotion FSM → key of ``controllers`` in robot.yaml; in others the Whole-Body Controller is used."""
-
 
 def blended(one: JointCommand, other: JointCommand, share: float) -> JointCommand:
     """Command whose torques are ``other``'s with weight ``share`` and ``one``'s with the rest, at any state."""
@@ -75,8 +72,7 @@ class ControllerExchange:
         """``not_loaded``: reason why the feet do not both carry weight; empty if they do."""
         self._robot, self._whole_body, self._not_loaded = robot, whole_body, not_loaded
         self._others = {each.name: Supervised(robot, each) for each in others}
-        tables = robot.tables.controllers
-        self.allowed = {state: tuple(tables.names(key)) for state, key in BEHAVIORS.items()}  # type: ignore[arg-type]
+        self.allowed = robot.tables.controllers.names()
         self.chosen = {state: names[0] for state, names in self.allowed.items()}
         self.active: Controller = whole_body
         self.pending = self.reason = self.failed = ""
@@ -114,7 +110,7 @@ class ControllerExchange:
         """Choose a controller for all states that may have it; returns the reason of a rejection, or an empty text."""
         states = [each for each, names in self.allowed.items() if name in names and each in self._named(name).states]
         if name not in self.names or not states:
-            lists = "; ".join(f"{BEHAVIORS[each]}: {', '.join(names)}" for each, names in self.allowed.items())
+            lists = "; ".join(f"{each}: {', '.join(names)}" for each, names in self.allowed.items())
             return f"no controller {name[:64]!r} for this robot; expected of its robot.yaml, controllers: {lists}"
         if self.failed:
             return f"the robot is brought to rest: {self.failed}"
