@@ -22,6 +22,7 @@ from valor.service import Context, quiet_collector
 from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.core import Core
+from valor.valor_ros_controller.ros.balance_controllers import BalanceControllers
 from valor.valor_ros_controller.ros.control_mode_action import COMMAND, ControlModeAction
 from valor.valor_ros_controller.ros.controller_bypass import ControllerBypass
 from valor.valor_ros_controller.ros.controller_manager_services import ControllerManagerServices
@@ -115,12 +116,15 @@ class ValorRosController:
         simulated = settings.variant == "simulation"
         self._publisher = Publisher(node, context.robot, tree, stamp, rate=rate, simulated=simulated, prefix=prefix)
         publish_static(node, self._parameters, self._publisher.transforms.fixed, odom)
+        rate_of_control, behavior = context.robot.tables.control_rate, lambda: core.interface.behavior
+        self._balance = BalanceControllers(node, context.node, behavior, rate=rate_of_control, rejection=rejection)
         self._bypass = ControllerBypass(
             node,
             context.node,
             core.interface,
             {base: "pelvis", prefix + tree.base: "pelvis", odom: "odom"},
             soft_stop=lambda: core.mode_controller.request(ControlMode.SOFT_STOP),
+            choose=self._balance.choose,
             rejection=rejection,
         )
         rejections = self._bypass.rejections
@@ -227,6 +231,7 @@ class ValorRosController:
     def close(self) -> None:
         """End the threads; ROS first. The owner closes the Bifrost node."""
         self._ros.close()
+        self._balance.close()
         self._core.close()
 
 

@@ -106,6 +106,7 @@ def home(tmp_path: Path) -> Path:
         ("valorctl up --actuators i", {"ideal"}),
         ("valorctl up --initial-mode stand_", {"stand_prep", "stand_manipulate"}),
         ("valorctl mode so", {"soft_stop"}),
+        ("valorctl --instance lab controller w", {"whole_body"}),
         ("valorctl arm l", {"left"}),
         ("valorctl arm left f --instance lab", set()),
         ("valorctl --instance lab arm left f", {"forward"}),

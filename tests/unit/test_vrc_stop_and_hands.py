@@ -26,7 +26,7 @@ class Hand(Arms):
         vrc = self.system.vrc
         frames = {"base_link": "pelvis"}
         network: Any = self.system.network
-        bypass = ControllerBypass(side.node, network, vrc.interface, frames, soft_stop=lambda: None)
+        bypass = ControllerBypass(side.node, network, vrc.interface, frames, soft_stop=lambda: None, choose=print)
         modes = vrc.mode_controller
         self.system.after = lambda: bypass.update(modes.current, vrc.hw, modes.stops)
         self._goals = next(each for each in side.node.subscriptions if each.topic_name.endswith("r_hand/goal_pose"))

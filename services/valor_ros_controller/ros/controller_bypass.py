@@ -16,7 +16,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, String
 from valor_msgs.msg import BalanceWeights as RosBalanceWeights
 from valor_msgs.msg import HandGoalStatus as RosHandGoalStatus
 from valor_msgs.msg import JointGains as RosJointGains
@@ -29,6 +29,7 @@ from valor.common.messages import BalanceWeights, HandGoal, HandGoalStatus, Join
 from valor.common.rotation import NORM, roll_pitch_yaw
 from valor.common.topics import BALANCE_WEIGHTS, HAND_GOAL_STATUS, JOINT_GAINS, REJECTION, VELOCITY
 from valor.common.topics import HAND_GOAL as HAND_GOAL_TOPIC
+from valor.ros.controllers import COMMAND
 from valor.ros.limbs import HANDS
 from valor.ros.mirror import MirrorPublisher, from_ros
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
@@ -111,12 +112,14 @@ class ControllerBypass:
         frames: Mapping[str, str],
         *,
         soft_stop: Callable[[], None],
+        choose: Callable[[str], None],
         rejection: str = "",
     ) -> None:
         """Open the interfaces.
 
         ``frames``: of hand goals, names of the Motion Manager by names in tf; ``soft_stop``: requests that mode, from
-        any thread; ``rejection``: reason to reject every command, empty if there is none.
+        any thread; ``choose``: requests a controller; ``rejection``: reason to reject every command, empty if
+        there is none.
         """
         self.rejections = RejectionPublisher(ros, node)  # publisher of rejections
         self._interface = interface
@@ -136,6 +139,7 @@ class ControllerBypass:
             (PoseStamped, PELVIS_GOAL, self._pelvis_command),
             (RosJointGains, GAINS, partial(self._mirrored, JOINT_GAINS.publisher(node), JointGains)),
             (RosBalanceWeights, WEIGHTS, partial(self._mirrored, BALANCE_WEIGHTS.publisher(node), BalanceWeights)),
+            (String, COMMAND, lambda message: lambda _: choose(message.data)),
             *self._hands.commands(),
         ]
         callbacks += [(kind, topic, self._queued(topic, command)) for kind, topic, command in commands]

@@ -44,7 +44,8 @@ def beside(manager: str, controller: str) -> str:
 def manager(manipulating: RosClient) -> str:
     """The one that rqt finds: a name before ``/list_controllers`` that has all services, each with its type."""
     services = dict(manipulating.node.get_service_names_and_types())
-    found = [name.split("/list_controllers")[0] for name in services if "/list_controllers" in name]
+    listing = [name.split("/list_controllers")[0] for name in services if "/list_controllers" in name]
+    found = [each for each in listing if all(f"{each}/{name}" in services for name in RQT_SERVICES)]
     assert len(found) == 1
     for name, kind in RQT_SERVICES.items():
         assert services[f"{found[0]}/{name}"][0] == kind

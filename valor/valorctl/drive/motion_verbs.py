@@ -1,4 +1,4 @@
-"""``stop``, ``mode``, ``arm``, ``hand``, ``walk``, ``step``, ``get-up``, ``push``, ``time``."""
+"""``stop``, ``mode``, ``controller``, ``arm``, ``hand``, ``walk``, ``step``, ``get-up``, ``push``, ``time``."""
 
 from typing import Annotated, Any, Literal
 
@@ -9,7 +9,7 @@ from valor.common.errors import ValorError, require_one_of
 from valor.common.instance import Instance
 from valor.common.resources import file_of, names
 from valor.valorctl.terminal import completion
-from valor.valorctl.terminal.console import Interruption, progress, say, say_json
+from valor.valorctl.terminal.console import Interruption, progress, rich_console, say, say_json
 from valor.valorctl.terminal.options import Json
 
 DEFAULT_SECONDS = 5.0  # of a walk
@@ -18,6 +18,9 @@ _NUMBERS_MAY_BE_NEGATIVE = {"ignore_unknown_options": True}
 
 _MODE = typer.Argument(help="Control mode to enter; default: show the current one.", autocompletion=completion.modes)
 _LIMBS = f"With freeze: only these limbs, the rest goes on: {', '.join(LIMBS)}; repeatable. {NO_LIMB}: release all."
+_CONTROLLER = typer.Argument(
+    help="Of `controllers` in robot.yaml; default: show all.", autocompletion=completion.controllers
+)
 _ARM_PRESET = typer.Argument(help="Posture in arm_presets of robot.yaml.", autocompletion=completion.arm_presets)
 _HAND_PRESET = typer.Argument(
     help="Posture in hand_presets of robot.yaml: open, close.", autocompletion=completion.hand_presets
@@ -32,7 +35,7 @@ Tolerance = Annotated[float, typer.Option(min=0.0, help="Final error of each joi
 
 def register(app: typer.Typer) -> None:
     """Add the verbs."""
-    for verb in (stop, mode, arm, hand, walk):
+    for verb in (stop, mode, controller, arm, hand, walk):
         app.command()(verb)
     app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(step)
     app.command(context_settings=_NUMBERS_MAY_BE_NEGATIVE)(push)
@@ -101,6 +104,22 @@ def mode(
         "latency_s": change.latency,
     }
     _report(result, change.describe(), "" if change.reached else change.describe(), json)
+
+
+def controller(name: Annotated[str | None, _CONTROLLER] = None, json: Json = False) -> None:
+    """Show or change the controller that balances the robot while it stands or walks."""
+    from valor.valorctl.drive import controller_choice
+    from valor.valorctl.instance import running
+
+    instance = running.require_running()
+    if name is not None:
+        with Interruption() as interruption:
+            values, text = controller_choice.change(instance, name, interruption.check)
+        _report(values, text, "", json)
+    elif json:
+        say_json(controller_choice.report(instance).as_json())
+    else:
+        rich_console().print(controller_choice.report(instance).view())
 
 
 def arm(

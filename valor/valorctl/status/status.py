@@ -8,12 +8,13 @@ from typing import Any, Self
 
 import bifrost
 from valor.bags import recordings
+from valor.common.balance_controllers import in_control
 from valor.common.behaviors import Behavior, ControlMode
 from valor.common.errors import ValorError
 from valor.common.instance import Instance, Settings
 from valor.common.messages import BehaviorChange, ClockStatus
 from valor.common.processes import BY_NAME, RECORDER
-from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, FROZEN, PAUSED, Topic
+from valor.common.topics import BEHAVIOR_CHANGE, CLOCK, CONTROL_MODE, CONTROLLERS, FROZEN, PAUSED, Topic
 from valor.common.viewing import page_port, url
 from valor.valorctl.drive.getting_up import simulated
 from valor.valorctl.instance.running import processes_found, supervising, unsupervised
@@ -28,7 +29,7 @@ WAY_OUT: Mapping[str, str] = {
 }
 """The verb that ends a behavior in which the robot rejects other commands."""
 UPTIME_STEP = 1.0  # resolution of supervisord's uptime [s]
-TOPICS: tuple[Topic[Any], ...] = (BEHAVIOR_CHANGE, FROZEN, CONTROL_MODE, CLOCK)
+TOPICS: tuple[Topic[Any], ...] = (BEHAVIOR_CHANGE, FROZEN, CONTROLLERS, CONTROL_MODE, CLOCK)
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class Status:
     condition: Condition | None = None
     hosts: Sequence[HostState] = ()  # empty: all processes run on this computer
     frozen: Sequence[str] = ()  # limbs frozen while the rest of the robot moves
+    controller: str | None = None  # that balances the robot; None also if none does
     supervised: bool = True  # whether supervisord responds, which restarts processes
 
     @property
@@ -123,6 +125,7 @@ class Status:
             "way_out": self.way_out,
             "bag": condition and condition.bag and str(condition.bag),
             "control_mode": self.control_mode,
+            "controller": self.controller,
             "clock": {
                 "mode": clock.mode if clock else self.settings.clock,
                 "time_s": clock.time * 1e-9 if clock else None,
@@ -211,8 +214,13 @@ class Watch:
             hosts=self._supervisor.hosts(),
             condition=self._condition(change) if change else None,
             frozen=frozen.message.limbs if change and (frozen := received[FROZEN.name]) else (),
+            controller=self._controller(change),
             supervised=supervised,
         )
+
+    def _controller(self, change: bifrost.Received[BehaviorChange] | None) -> str | None:
+        status = self._received[CONTROLLERS.name]
+        return in_control(status.message, change.message.behavior) or None if status and change else None
 
     def _change(self, info: ProcessInfo | None, now: float) -> bifrost.Received[BehaviorChange] | None:
         """The last change of behavior, if it is from the current run of a process that still reports."""

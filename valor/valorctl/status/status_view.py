@@ -78,6 +78,7 @@ def _robot(status: Status) -> list[Text]:
         Text.assemble(
             "control mode ", (status.control_mode or "?", "bold"), ", behavior ", (behavior, colour),
             f" for {time.time() - condition.began:.0f} s" if condition else "",
+            f", controller {status.controller}" if status.controller else "",
         )
     ]  # fmt: skip
     if status.frozen:

@@ -1,7 +1,7 @@
 """Shell completion of values, from tables without services. A failure yields no values."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import typer
@@ -51,6 +51,15 @@ def actuators(ctx: typer.Context) -> Iterable[str]:
 def arm_presets(ctx: typer.Context) -> Iterable[str]:
     """Arm postures of the robot that is up."""
     return _table(_settings(ctx).robot).get("arm_presets", ())
+
+
+@completer
+def controllers(ctx: typer.Context) -> Iterable[str]:
+    """Controllers of the robot that is up."""
+    from valor.robot.motion_tables import WHOLE_BODY
+
+    lists: Mapping[str, str | list[str]] = _table(_settings(ctx).robot).get("controllers", {})  # type: ignore[assignment]
+    return sorted({WHOLE_BODY}.union(*([each] if isinstance(each, str) else each for each in lists.values())))
 
 
 @completer

@@ -1,0 +1,93 @@
+"""`controller`: report and change of the controller of the balancing robot."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from rich.console import Group
+from rich.table import Table
+
+from valor.common import balance_controllers
+from valor.common.balance_controllers import allowed, in_control
+from valor.common.errors import ValorError
+from valor.common.instance import Instance
+from valor.common.messages import ControllerRequest, ControllerStatus
+from valor.common.topics import BEHAVIOR_CHANGE, CONTROLLER, CONTROLLERS
+from valor.valorctl.drive.node import join, next_message
+from valor.valorctl.terminal.console import table
+
+_TIMEOUT = 2.0  # of latched messages [s]
+
+
+@dataclass(frozen=True)
+class Controllers:
+    """Controllers of a robot in a behavior."""
+
+    status: ControllerStatus
+    behavior: str
+
+    @property
+    def in_control(self) -> str:
+        """Controller that balances the robot; empty if none does."""
+        return in_control(self.status, self.behavior)
+
+    def as_json(self) -> dict[str, Any]:
+        """The object of ``controller --json``."""
+        status = self.status
+        lists = {"stand": status.stand, "walk": status.walk}
+        return {
+            "behavior": self.behavior,
+            "in_control": self.in_control or None,
+            "pending": status.pending or None,
+            "reason": status.reason or None,
+            **{key: {"chosen": names[0], "allowed": sorted(names)} for key, names in lists.items()},
+        }
+
+    def view(self) -> Group:
+        """A table, and what is pending."""
+        values = self.as_json()
+        shown: Table = table("while it", "allowed", "chosen", "in control")
+        for key in ("stand", "walk"):
+            present = allowed(self.status, self.behavior) is getattr(self.status, key)
+            names, chosen = values[key]["allowed"], values[key]["chosen"]
+            shown.add_row(f"{key}s", ", ".join(names), chosen, self.in_control if present else "–")
+        pending, reason = self.status.pending or "none", self.status.reason or "none"
+        return Group(shown, f"behavior {self.behavior}; pending: {pending}; last exchange: {reason}")
+
+
+def report(instance: Instance) -> Controllers:
+    """The Motion Manager's latest report; raises ``ValorError`` without one."""
+    with join(instance) as node:
+        statuses, changes = CONTROLLERS.subscriber(node), BEHAVIOR_CHANGE.subscriber(node)
+        status = next_message(CONTROLLERS, statuses, _TIMEOUT)
+        return Controllers(status, next_message(BEHAVIOR_CHANGE, changes, _TIMEOUT).behavior)
+
+
+def change(instance: Instance, name: str, check: Callable[[], None]) -> tuple[dict[str, Any], str]:
+    """Request a controller, and wait until it is in control if the present behavior allows it.
+
+    Returns the object of ``controller NAME --json`` and a line. ``check`` is called while waiting and may raise.
+    Raises ``ValorError`` with the reason of a rejection.
+    """
+    began = time.monotonic()
+    present = report(instance)
+    with join(instance) as node:
+        client = CONTROLLER.client(node)
+        if now := name in allowed(present.status, present.behavior):
+            statuses = CONTROLLERS.subscriber(node, queue=balance_controllers.QUEUE)
+            reason = balance_controllers.exchange(client, statuses, name, check)
+        else:
+            reason = client.call(ControllerRequest(name), timeout=balance_controllers.REPLY_TIMEOUT).reason
+    if reason:
+        see = f"see `valorctl controller{Instance.option(instance.name)}`"
+        raise ValorError(f"controller {name} rejected: {reason}; {see}")
+    latency = time.monotonic() - began
+    values = {"requested": name, "behavior": present.behavior, "reached": now, "latency_s": latency}
+    if now:
+        return values, f"controller {name} in control ({latency * 1e3:.0f} ms)"
+    where = [f"{key}s" for key in ("stand", "walk") if name in getattr(present.status, key)]
+    waits = f"it takes over when the robot {' or '.join(where)}; it is in behavior {present.behavior}"
+    return values, f"controller {name} chosen: {waits}"
