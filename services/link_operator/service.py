@@ -11,7 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from msgspec import structs
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from valor_msgs.msg import Rejection
+from valor_msgs.msg import ControllerStatus, Rejection
 
 from valor.common.errors import ConfigurationError
 from valor.common.instance import Link
@@ -24,6 +24,7 @@ from valor.link.fields import Layout
 from valor.link.udp_transport import UdpTransport
 from valor.link_operator.goals import CommandHistory, Goals
 from valor.link_operator.republisher import LATCHED, PicturePublisher, Progress, Republisher
+from valor.ros.controllers import STATUS
 from valor.ros.lateness import Info, reject_late
 from valor.ros.link_loop import create_session, serve
 from valor.ros.link_messages import (
@@ -77,6 +78,7 @@ class LinkOperator:
         self._goals = Goals(node, self._end, self._codec, self._history, self._send_waiting)
         self._progress = Progress(node, f"{settings.frame_prefix}{ODOM}", self._goals.feedback)
         self._rejections = node.create_publisher(Rejection, "flor/controller/rejection", REJECTIONS)
+        self._controllers = node.create_publisher(ControllerStatus, STATUS, LATCHED)
         self._status = node.create_publisher(DiagnosticStatus, "link/status", LATCHED)
         for index, command in enumerate(COMMANDS):
             receive = reject_late(command.name, partial(self._receive, index, command), others=node.others)
@@ -186,6 +188,8 @@ class LinkOperator:
                 self._progress.plan(number, content)
             elif type_ is LinkMessageType.HAND:
                 self._progress.hand(number, content)
+            elif type_ is LinkMessageType.CONTROLLERS:
+                self._controllers.publish(self._codec.unpack(content, ControllerStatus))
         except SealError as error:
             _log.warning("%s of the robot's end: %s", arrived.kind.name, error)
 

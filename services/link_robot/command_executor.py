@@ -33,7 +33,7 @@ class CommandExecutor:
 
     def __init__(self, node: Node, end: LinkEndpoint, robot: RobotDescription) -> None:
         self._end = end
-        self._codec = MessageCodec(robot)
+        self.codec = MessageCodec(robot)
         self._publishers = [node.create_publisher(each.type, each.name, LATEST) for each in COMMANDS]
         self._clients = [ActionClient(node, each.type, each.name) for each in ACTIONS]
         self._goals: dict[int, Any] = {}
@@ -92,7 +92,7 @@ class CommandExecutor:
     def report(self, rejection: Rejection) -> None:
         """Send a rejection by the robot, of any client's command."""
         try:
-            content = pack_message(LinkMessageType.REJECTION, 0, self._codec.pack(rejection))
+            content = pack_message(LinkMessageType.REJECTION, 0, self.codec.pack(rejection))
             self._end.send(MessageClass.EVENT, content, time.monotonic())
         except SealError:
             _log.info("rejection on %s not sent: no session", rejection.topic)
@@ -108,11 +108,11 @@ class CommandExecutor:
 
     def _publish(self, index: int, content: bytes) -> None:
         command = COMMANDS[index]
-        self._publishers[index].publish(self._codec.unpack(content, command.type))
+        self._publishers[index].publish(self.codec.unpack(content, command.type))
 
     def _send_goal(self, number: int, index: int, content: bytes) -> None:
         action, client = ACTIONS[index], self._clients[index]
-        goal = self._codec.unpack(content, action.type.Goal)
+        goal = self.codec.unpack(content, action.type.Goal)
         if not client.server_is_ready():
             raise SealError(f"no action server of {action.name}")
         client.send_goal_async(goal).add_done_callback(partial(self._accepted, self._session, number))
@@ -135,7 +135,7 @@ class CommandExecutor:
             return
         self._goals.pop(number, None)
         response = future.result()
-        self._answer(LinkMessageType.RESULT, number, bytes((response.status,)) + self._codec.pack(response.result))
+        self._answer(LinkMessageType.RESULT, number, bytes((response.status,)) + self.codec.pack(response.result))
 
     def _cancel(self, number: int) -> None:
         if (handle := self._goals.get(number)) is not None:
@@ -167,6 +167,9 @@ class Reporter:
         self._due = now + PERIOD
         try:
             self._report_plan(now)
+            if (status := self._observer.latest("controllers")) is not self._reported.get("controllers"):
+                content = pack_message(LinkMessageType.CONTROLLERS, 0, self._executor.codec.pack(status))
+                self._send("controllers", content, status, now)
             for index, hand in enumerate(HANDS):
                 self._report_hand(index, hand, now)
         except SealError:  # too many messages wait; sent in a later turn

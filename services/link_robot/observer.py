@@ -11,13 +11,14 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, JointState
-from valor_msgs.msg import HandGoalStatus, MotionState, Rejection
+from valor_msgs.msg import ControllerStatus, HandGoalStatus, MotionState, Rejection
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
 from valor.common.arrays import FloatArray
 from valor.link.picture import Picture
 from valor.link.state import RobotState
 from valor.robot.description import RobotDescription
+from valor.ros.controllers import STATUS
 from valor.ros.limbs import FEET, HANDS, WRENCH
 from valor.ros.progress import FEEDBACK, GOAL_STATUS, FeedbackMessage
 from valor.ros.taking import polled, take, waiting
@@ -51,6 +52,7 @@ class Observer:
                 ("mode", ControlModeStatus, "flor/controller/mode", LATCHED),
                 ("status", DiagnosticStatus, "flor/controller/robot_status", LATCHED),
                 ("diagnostics", DiagnosticArray, "diagnostics", STREAM),
+                ("controllers", ControllerStatus, STATUS, LATCHED),
                 ("steps", FeedbackMessage, FEEDBACK, LATCHED),
                 *((hand, HandGoalStatus, GOAL_STATUS.format(hand), LATCHED) for hand in HANDS),
                 *((foot, WrenchStamped, WRENCH.format(foot), STREAM) for foot in FEET),
@@ -73,7 +75,7 @@ class Observer:
         self._taken_at = now
 
     def latest(self, name: str) -> Any:
-        """Latest message: ``steps``, or of a hand; None if none was received."""
+        """Latest message: ``controllers``, ``steps``, or of a hand; None if none was received."""
         return self._latest.get(name)
 
     def state(self) -> RobotState | None:

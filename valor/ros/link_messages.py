@@ -12,7 +12,7 @@ from typing import Any
 from control_msgs.action import FollowJointTrajectory
 from geometry_msgs.msg import PoseStamped, Twist
 from rclpy.serialization import deserialize_message, serialize_message
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, String
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_humanoid_control_msgs.action import ChangeControlMode
 from vigir_humanoid_control_msgs.msg import VigirControlModeCommand
@@ -22,6 +22,7 @@ from valor.link.classes import MessageClass
 from valor.link.errors import SealError
 from valor.robot.description import RobotDescription
 from valor.ros import packed_steps
+from valor.ros.controllers import COMMAND
 from valor.ros.limbs import HANDS
 
 _UNPACKED = b"\0\0"  # prefix of a plan whose steps are not packed
@@ -63,6 +64,7 @@ COMMANDS: tuple[Command, ...] = (
     Command("flor/pelvis_controller/goal_pose", PoseStamped, MessageClass.COMMAND, "pelvis"),
     *(Command(f"flor/{hand}/goal_pose", PoseStamped, MessageClass.COMMAND, arm) for hand, arm in _ARMS.items()),
     *(Command(f"flor/{hand}/goal_cancel", Empty, MessageClass.COMMAND, arm) for hand, arm in _ARMS.items()),
+    Command(COMMAND, String, MessageClass.COMMAND, "controller"),
 )
 
 
@@ -79,6 +81,7 @@ class LinkMessageType(IntEnum):
     STEPS = 7  # from the robot: 0, steps of the active plan
     PROGRESS = 8  # from the robot: link id of the plan's goal (0: of another client), feedback
     HAND = 9  # from the robot: index in HANDS, status of its goal
+    CONTROLLERS = 10  # from the robot: 0, valor_msgs/ControllerStatus
 
 
 def class_of(command: Command, message: Any) -> MessageClass:

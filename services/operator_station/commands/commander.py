@@ -17,7 +17,7 @@ from rclpy.action import ActionClient
 from rclpy.executors import Executor, ExternalShutdownException, ShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, String
 from trajectory_msgs.msg import JointTrajectoryPoint
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_footstep_planning_msgs.msg import FootstepExecutionStatus, Step
@@ -27,6 +27,7 @@ from valor.common.errors import RefusalError
 from valor.common.messages import ModeStatus
 from valor.common.poses import Pose
 from valor.operator_station.commands.log import Command
+from valor.ros.controllers import COMMAND
 from valor.ros.limbs import HANDS
 
 ANSWER = 2.0  # timeout of an acknowledgement [s]
@@ -56,6 +57,7 @@ class Commander:
         self._plans = ActionClient(node, ExecuteStepPlan, STEPS)
         self._arms = {group: ActionClient(node, FollowJointTrajectory, TRAJECTORY.format(group)) for group in groups}
         self._velocity = node.create_publisher(Twist, "cmd_vel", NEWEST)
+        self._controller = node.create_publisher(String, COMMAND, NEWEST)
         self._goals, self._releases = (
             {side: node.create_publisher(kind, f"flor/{name}/{topic}", NEWEST) for side, name in TOPICS.items()}
             for kind, topic in ((PoseStamped, "goal_pose"), (Empty, "goal_cancel"))
@@ -103,6 +105,10 @@ class Commander:
             return f"control mode {name}"
 
         self._send(self._modes, ChangeControlMode.Goal(mode_request=name), command, done)
+
+    def choose_controller(self, name: str, command: Command) -> None:
+        """Request a controller; its status and rejections report the result."""
+        self._publish(self._controller, String(data=name), command)
 
     def follow(self, group: str, joints: Mapping[str, float], duration: float, command: Command) -> None:
         """Move a group's joints to positions [rad] in a duration [robot time, s]."""

@@ -163,6 +163,8 @@ class CommandQueue:
             act = self._for_operator(act)
 
         async def take(event: Any) -> None:
+            if event.client_id is None:  # the station has set the value
+                return
             viewer = int(event.client_id)
             beat = self._heartbeats.get(viewer)
             age = beat.bound(time.monotonic()) if beat is not None else float("inf")

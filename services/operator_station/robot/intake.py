@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, JointState
 from std_msgs.msg import Bool
-from valor_msgs.msg import HandGoalStatus, MotionState, Rejection
+from valor_msgs.msg import ControllerStatus, HandGoalStatus, MotionState, Rejection
 from vigir_footstep_planning_msgs.action import ExecuteStepPlan
 from vigir_humanoid_control_msgs.msg import ControlModeStatus
 
@@ -23,6 +23,7 @@ from valor.common.linking import PICTURE
 from valor.common.poses import Pose
 from valor.operator_station.robot.modes import Mode, report
 from valor.operator_station.robot.snapshot import AGES, LinkStatus, RobotSnapshot
+from valor.ros.controllers import STATUS
 from valor.ros.limbs import FEET, HANDS, WRENCH
 from valor.ros.taking import polled, take
 
@@ -71,6 +72,7 @@ class Intake:
             add(HandGoalStatus, f"flor/{name}/goal_status", TOLD, partial(self._hand, name))
         add(ControlModeStatus, "flor/controller/mode", TOLD, self._mode)
         add(DiagnosticStatus, "flor/controller/robot_status", TOLD, self._status)
+        add(ControllerStatus, STATUS, TOLD, self._controllers)
         add(Rejection, "flor/controller/rejection", EVENTS, self._rejection)
         feedback = "robot_controllers/footstep_controller/execute_feedback"
         add(ExecuteStepPlan.Impl.FeedbackMessage, feedback, TOLD, self._plan)
@@ -129,6 +131,11 @@ class Intake:
             heard.tell(self.wall(), f"control mode: {text}")
         heard.mode = mode
         heard.ages.heard("mode", now)
+
+    def _controllers(self, message: ControllerStatus, now: float) -> None:
+        before, self.heard.controllers = self.heard.controllers, message
+        if message.reason and (before is None or before.reason != message.reason):
+            self.heard.tell(self.wall(), f"controller: {message.reason}")
 
     def _status(self, message: DiagnosticStatus, now: float) -> None:
         level = message.level[0] if isinstance(message.level, bytes) else int(message.level)

@@ -6,10 +6,12 @@ from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.common.balance_controllers import allowed
 from valor.common.poses import Pose
 from valor.operator_station.robot.modes import Mode
 from valor.ros.limbs import FEET
@@ -111,12 +113,23 @@ class RobotSnapshot:
     contacts: list[bool] = field(default_factory=lambda: [True, True])
     states: dict[str, str] = field(default_factory=dict)
     mode: Mode = field(default_factory=Mode)
+    controllers: Any = None  # ControllerStatus; None before the first
     steps: list[tuple[int, int, Pose]] = field(default_factory=list)  # index, foot, sole
     hands: dict[str, tuple[str, str, float]] = field(default_factory=dict)  # state, reason, error [m]
     status: tuple[int, str] = (0, "")  # level and text
     news: deque[tuple[float, str]] = field(default_factory=lambda: deque(maxlen=NEWS))
     link: LinkStatus | None = None  # None: no link, or no status received
     picture: bytes = b""  # compressed
+
+    @property
+    def behavior(self) -> str:
+        """Behavior of the Motion System; empty before the first report."""
+        return self.states.get("behavior", "")
+
+    @property
+    def allowed(self) -> list[str]:
+        """Controllers that may be chosen in the present behavior, the chosen one first."""
+        return allowed(self.controllers, self.behavior) if self.controllers else []
 
     def tell(self, when: float, text: str) -> None:
         """Add news, unless it repeats the latest."""

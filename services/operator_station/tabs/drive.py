@@ -1,4 +1,4 @@
-"""Tab *Drive*: control modes, walking pad (drawn by ``keys.js``), and walking to a point on the floor."""
+"""Tab *Drive*: control modes, controllers, walking pad (drawn by ``keys.js``), and walking to a point on the floor."""
 
 from __future__ import annotations
 
@@ -67,6 +67,8 @@ class Pad:
 SLOWEST = 0.1  # speed of the pad [fraction]
 FARTHEST = 1e4  # of a click [m]
 SEND = 0.1  # between velocities [s]
+CHOSEN = 6.0  # timeout of a choice, after which the robot's is shown again [s]
+NONE = "–"  # while no controller can be chosen
 SHOWN = 10.0  # largest displayed age of a velocity [s]
 
 
@@ -87,6 +89,9 @@ class Drive:
             self._buttons = {name: gui.add_button(name, disabled=True) for name in modes.names}
             for name, mode in self._buttons.items():
                 mode.on_click(desk.taking(partial(self._change, name)))
+            self._controller = gui.add_dropdown("controller", (NONE,), disabled=True)
+            self._controller.on_update(desk.taking(self._choose))
+            self._seen, self._seen_at = NONE, 0.0  # value of the drop-down, and since when [s]
         with gui.add_folder("Walking pad (hold)"):
             self._about_pad = gui.add_markdown("")
             speed = gui.add_slider("speed", SLOWEST, 1.0, 0.1, self.pad.speed)
@@ -126,9 +131,20 @@ class Drive:
             current = name == self._heard.mode.current
             button.label, button.disabled = f"{name}  ✓" if current else f"{name} – {why}" if why else name, bool(why)
         self._about_pad.content = self._pad_text()
+        self._draw_controllers()
+
+    def _draw_controllers(self) -> None:
+        shown, (chosen, *others) = self._controller, self._heard.allowed or [NONE]
+        if shown.value != self._seen:
+            self._seen, self._seen_at = shown.value, time.monotonic()
+        waits = time.monotonic() - self._seen_at < CHOSEN
+        if shown.options != (options := tuple(sorted((chosen, *others)))):
+            shown.options, shown.disabled, waits = options, not others, False
+        if shown.value != chosen and not waits:
+            shown.value = self._seen = chosen  # type: ignore[misc]  # it has a setter
 
     def _why_not(self, name: str) -> str:
-        return self._modes.why_not(name, self._heard.mode, self._heard.states.get("behavior", ""))
+        return self._modes.why_not(name, self._heard.mode, self._heard.behavior)
 
     def _pad_text(self) -> str:
         """Why the pad is disabled; with a link, the age of the last received velocity."""
@@ -156,6 +172,15 @@ class Drive:
             command.state, command.answer = "refused", why
             raise RefusalError("mode", command.line())
         self._commander.change_mode(name, command)
+
+    def _choose(self, visit: UserEvent) -> None:
+        name = str(visit.event.target.value)
+        command = self._desk.command(visit, f"controller {name[:64]}")
+        if name not in self._heard.allowed:
+            expected = ", ".join(sorted(self._heard.allowed)) or "none"
+            command.state, command.answer = "refused", f"expected in {self._heard.behavior} one of {expected}"
+            raise RefusalError("controller", command.line())
+        self._commander.choose_controller(name, command)
 
     def _set_speed(self, speed: Any) -> None:
         self.pad.speed = bounded(speed, SLOWEST, 1.0)

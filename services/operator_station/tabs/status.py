@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image, UnidentifiedImageError
 from viser import ClientHandle, GuiImageHandle, GuiInputHandle, GuiTabHandle, ViserServer
 
+from valor.common.balance_controllers import in_control
 from valor.operator_station.commands.log import CommandLog
 from valor.operator_station.commands.queue import CommandQueue, UserEvent
 from valor.operator_station.robot.snapshot import RobotSnapshot
@@ -51,13 +52,15 @@ class StatusPanel:
         ages, states = heard.ages, heard.states
         linked = heard.link is not None
         level, status = heard.status
+        active = in_control(heard.controllers, heard.behavior) if heard.controllers else ""
         mode_color = GREY if ages.old("mode", now) else BLACK
         lines = [
             f'<b style="font-size:17px;color:{mode_color}">{escape(heard.mode.current) or "mode not known"}</b> '
             f'<span style="color:{_LEVELS[min(level, 3)]}">{escape(status)}</span>',
             _colored(
                 " · ".join(f"{name} <b>{escape(states.get(name, '?'))}</b>" for name in
-                           ("behavior", "locomotion", "manipulation", "attention")),
+                           ("behavior", "locomotion", "manipulation", "attention"))
+                + (f" · controller <b>{escape(active)}</b>" if active else ""),
                 ages.old("motion", now),
             ),
             f"<b>{escape(self._who())}</b>",

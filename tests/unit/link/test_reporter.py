@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from valor_msgs.msg import HandGoalStatus
+from valor_msgs.msg import ControllerStatus, HandGoalStatus
 
 from harness.emulated_channel import Conditions
 from harness.link_pair import Pair
@@ -29,7 +29,8 @@ from valor.link_robot.command_executor import CommandExecutor, Reporter
 from valor.link_robot.observer import JOINT_MESSAGES, Observer
 from valor.robot.description import RobotDescription
 from valor.ros import packed_steps
-from valor.ros.link_messages import LinkMessageType, unpack_message
+from valor.ros.controllers import STATUS
+from valor.ros.link_messages import LinkMessageType, MessageCodec, unpack_message
 from valor.ros.progress import FEEDBACK, GOAL_STATUS, FeedbackMessage, pack_feedback
 from valor.valorctl.instance.ros_domain import reserve
 
@@ -64,6 +65,7 @@ class Relay:
         self.progress = Progress(theirs, "odom", lambda number, feedback: None)
         self.plans: list[Any] = []
         self.hands: list[Any] = []
+        self.controllers: list[Any] = []
         self.words: list[LinkMessageType] = []
         theirs.create_subscription(FeedbackMessage, FEEDBACK, self.plans.append, LATCHED)
         theirs.create_subscription(HandGoalStatus, GOAL_STATUS.format("r_hand"), self.hands.append, LATCHED)
@@ -84,6 +86,8 @@ class Relay:
                 self.progress.steps(body)
             elif word is LinkMessageType.PROGRESS:
                 self.progress.plan(number, body)
+            elif word is LinkMessageType.CONTROLLERS:
+                self.controllers.append(MessageCodec(ROBOT).unpack(body, ControllerStatus))
             else:
                 self.progress.hand(number, body)
         self.link.answers.clear()
@@ -105,16 +109,20 @@ def test_what_changes_is_reported_once_and_arrives_unchanged(nodes: tuple[Any, A
     status = HandGoalStatus(hand=1, state="out_of_reach", reason="too far", position_error=0.25)
     plans.publish(sent)
     hands.publish(status)
-    relay.wait(lambda: relay.hands and relay.plans and relay.plans[-1].feedback.feedback.steps, "both are reported")
+    controllers = ControllerStatus(active="statue", reason="statue after whole_body", stand=["statue"], walk=["statue"])
+    ours.create_publisher(ControllerStatus, STATUS, LATCHED).publish(controllers)
+    relay.wait(
+        lambda: relay.controllers and relay.hands and relay.plans and relay.plans[-1].feedback.feedback.steps,
+        "all are reported",
+    )
     came = relay.plans[-1].feedback
     assert came.currently_executing_step_index == 2
     assert [step.step_index for step in came.feedback.steps] == [0, 1, 2, 3, 4, 5]
-    assert relay.hands[-1] == status
+    assert relay.hands[-1] == status and relay.controllers == [controllers]
     for _ in range(60):
         relay.turn()
-    assert sorted(relay.words) == [LinkMessageType.STEPS, LinkMessageType.PROGRESS, LinkMessageType.HAND], (
-        "values without a change are not sent again"
-    )
+    once = ["STEPS", "PROGRESS", "HAND", "CONTROLLERS"]
+    assert [word.name for word in sorted(relay.words)] == once, "values without a change are not sent again"
     sent.feedback.currently_executing_step_index = 3
     plans.publish(sent)
     before = len(relay.plans)
