@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -18,6 +16,7 @@ import pytest
 from harness.onnx_file import BIAS, affine
 from harness.places import REPOSITORY
 from tests.unit.policies.builds import ESCHER, robot_with, senses, weights, write
+from tests.unit.policies.strangers import ROBOTS, facts, stranger
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError
 from valor.common.rotation import quaternion, vertical
@@ -84,40 +83,10 @@ def test_one_thread_evaluates(tmp_path: Path) -> None:
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "0\n"
 
 
-SCALES = {"g1": (0.25, 0.05), "t1": (1.0, 0.1)}  # of angular velocity, and of joint velocity
-STANDING = {
-    "g1": [*[-0.312, 0, 0, 0.669, -0.363, 0] * 2, 0, 0, 0, 0.2, 0.2, 0, 0.6, 0, 0, 0, 0.2, -0.2, 0, 0.6, 0, 0, 0],
-    "t1": [0, 0, 0.2, -1.35, 0, -0.5, 0, 0, 0, 0.2, 1.35, 0, 0.5, 0, 0, 0, 0, *[-0.2, 0, 0, 0.4, -0.25, 0] * 2],
-}
-
-
-def facts(robot: str) -> dict[str, Any]:
-    """What holosoma's files do not state, from its own programs."""
-    turn, joint = SCALES[robot]
-    return {
-        "period": 0.02,
-        "observation": [  # sorted by their names there
-            "last_action", {"term": "base_angular_velocity", "scale": turn}, "yaw_rate_command",
-            "linear_velocity_command", "gait_cos", "joint_position_relative",
-            {"term": "joint_velocity", "scale": joint}, "projected_gravity", "gait_sin",
-        ],
-        "gait": {"period": 1.0, "standing": float(np.pi)}, "action_scale": 0.25, "default_position": STANDING[robot],
-    }  # fmt: skip
-
-
-def stranger(name: str, folder: Path) -> Path:
-    """A policy of holosoma-inference."""
-    found = importlib.util.find_spec("holosoma_inference")
-    assert found is not None and found.submodule_search_locations, "run `make setup`"
-    source = next((Path(found.submodule_search_locations[0]) / "models").rglob(f"{name}.onnx"))
-    (folder / "policy.onnx").symlink_to(source)
-    return folder / "policy.onnx"
-
-
 @pytest.mark.parametrize("name", ["fastsac_g1_29dof", "ppo_g1_29dof", "fastsac_t1_29dof", "ppo_t1_29dof"])
 def test_policies_of_strangers_act_as_their_observations_are_defined(name: str, tmp_path: Path) -> None:
     file, made = stranger(name, tmp_path), name[-8:-6]
-    zero, (turn, joint) = np.array(STANDING[made]), SCALES[made]
+    zero, (turn, joint) = np.array(ROBOTS[made].standing), ROBOTS[made].scales
     names = json.loads(onnxruntime.InferenceSession(str(file)).get_modelmeta().custom_metadata_map["dof_names"])
     robot = robot_with(sorted(names))
     policy = Policy(load(write(file, facts(made)), robot), robot)

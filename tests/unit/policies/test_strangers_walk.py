@@ -1,0 +1,44 @@
+"""Policies and robots of strangers: each takes over from the Whole-Body Controller, is pushed, walks and gives back."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.unit.policies.strangers import ROBOTS, policy_of
+from valor.common.behaviors import Behavior
+from valor.motion_manager.controllers import policy_controller
+from valor.robot.description import RobotDescription
+from valor.robot_setup.new import new_robot
+from valor.self_test.controller_test import ControllerTest
+
+pytestmark = pytest.mark.timeout(900)
+TESTS = ("push left", Behavior.WALK, "give back")
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> RobotDescription:
+    """Made of the model's file, with nothing edited."""
+    folder = tmp_path_factory.mktemp("robots") / request.param
+    new_robot(ROBOTS[request.param].model(), folder, request.param)
+    return RobotDescription.load(folder)
+
+
+@pytest.mark.parametrize("kind", ["ppo", "fastsac"])
+def test_a_policy_takes_over_is_pushed_walks_and_gives_back(robot: RobotDescription, kind: str, tmp_path: Path) -> None:
+    file = policy_of(robot.tables.name, kind, tmp_path)
+    tests = dict(ControllerTest(robot, "hardware", file.stem, partial(policy_controller, file)).tests())
+    for name in TESTS:
+        result = tests[name]()
+        assert result.passed, (name, result.reason)
+
+
+def test_one_with_a_wrong_scale_is_rejected_or_replaced_before_the_robot_falls(
+    robot: RobotDescription, tmp_path: Path
+) -> None:
+    file = policy_of(robot.tables.name, "ppo", tmp_path, action_scale=2.5)
+    test = ControllerTest(robot, "hardware", file.stem, partial(policy_controller, file))
+    result = dict(test.tests())["take over"]()
+    assert not result.passed and "fell" not in result.reason, result.reason
