@@ -75,7 +75,7 @@ def take_plan(loop: ClosedLoop, steps: Sequence[PlanStep]) -> Walked:
         robot=robot,
         fsm=fsm,
         step_queue=queue,
-        controller=loop.controller,
+        whole_body=loop.controller,
         rejections=RejectionCounter(),
         soles=lambda: sole_poses(loop.state),
     )
