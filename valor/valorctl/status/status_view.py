@@ -76,9 +76,9 @@ def _robot(status: Status) -> list[Text]:
     colour = BAD if status.fallen else WAITING if behavior in WAY_OUT else "bold"
     lines = [
         Text.assemble(
-            "control mode ", (status.control_mode or "?", "bold"), ", behavior ", (behavior, colour),
+            "control mode ", (status.control_mode or "?", "bold"),
+            f", controller {status.controller}" if status.controller else "", ", behavior ", (behavior, colour),
             f" for {time.time() - condition.began:.0f} s" if condition else "",
-            f", controller {status.controller}" if status.controller else "",
         )
     ]  # fmt: skip
     if status.frozen:
