@@ -42,7 +42,7 @@ def exchange(
     reply = client.call(ControllerRequest(name), timeout=REPLY_TIMEOUT)
     if not reply.accepted:
         return reply.reason
-    chosen, deadline = False, time.monotonic() + LONGEST
+    deadline = time.monotonic() + LONGEST
     while time.monotonic() < deadline:
         check()
         if (received := statuses.receive(timeout=_PERIOD)) is None:
@@ -51,7 +51,6 @@ def exchange(
         first = name in (status.stand[0], status.walk[0])
         if first and status.active == name:
             return ""
-        chosen = chosen or first
-        if not first and (chosen or received.stamp > requested):  # an older one may be the latched one
+        if not first and received.stamp > requested:  # an older one may be the latched one
             return status.reason
     return f"not in control within {LONGEST:g} s"

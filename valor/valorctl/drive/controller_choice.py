@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from rich.console import Group
-from rich.table import Table
 
 from valor.common import balance_controllers
 from valor.common.balance_controllers import allowed, in_control
@@ -29,33 +28,26 @@ class Controllers:
     status: ControllerStatus
     behavior: str
 
-    @property
-    def in_control(self) -> str:
-        """Controller that balances the robot; empty if none does."""
-        return in_control(self.status, self.behavior)
-
     def as_json(self) -> dict[str, Any]:
         """The object of ``controller --json``."""
         status = self.status
-        lists = {"stand": status.stand, "walk": status.walk}
         return {
             "behavior": self.behavior,
-            "in_control": self.in_control or None,
+            "in_control": in_control(status, self.behavior) or None,
             "pending": status.pending or None,
             "reason": status.reason or None,
-            **{key: {"chosen": names[0], "allowed": sorted(names)} for key, names in lists.items()},
+            "stand": {"chosen": status.stand[0], "allowed": sorted(status.stand)},
+            "walk": {"chosen": status.walk[0], "allowed": sorted(status.walk)},
         }
 
     def view(self) -> Group:
         """A table, and what is pending."""
-        values = self.as_json()
-        shown: Table = table("while it", "allowed", "chosen", "in control")
-        for key in ("stand", "walk"):
-            present = allowed(self.status, self.behavior) is getattr(self.status, key)
-            names, chosen = values[key]["allowed"], values[key]["chosen"]
-            shown.add_row(f"{key}s", ", ".join(names), chosen, self.in_control if present else "–")
-        pending, reason = self.status.pending or "none", self.status.reason or "none"
-        return Group(shown, f"behavior {self.behavior}; pending: {pending}; last exchange: {reason}")
+        status, shown = self.status, table("while it", "allowed", "chosen", "in control")
+        for state, names in (("stands", status.stand), ("walks", status.walk)):
+            active = status.active if allowed(status, self.behavior) is names else "–"
+            shown.add_row(state, ", ".join(sorted(names)), names[0], active)
+        last = f"pending: {status.pending or 'none'}; last exchange: {status.reason or 'none'}"
+        return Group(shown, f"behavior {self.behavior}; {last}")
 
 
 def report(instance: Instance) -> Controllers:

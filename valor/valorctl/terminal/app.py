@@ -13,23 +13,13 @@ from typer.core import TyperGroup
 from valor.valorctl.terminal import completion
 from valor.valorctl.terminal.console import complain, say
 
+_DRIVE = "valor.valorctl.drive"
 # The verbs that each module adds by its ``register``. A command line imports only the module of its verb.
 MODULES: dict[str, tuple[str, ...]] = {
     "valor.valorctl.instance.lifecycle_verbs": ("up", "down", "restart", "reset", "host"),
     "valor.valorctl.status.observation_verbs": ("status", "view", "logs", "env", "doctor"),
-    "valor.valorctl.drive.motion_verbs": (
-        "stop",
-        "mode",
-        "controller",
-        "arm",
-        "hand",
-        "walk",
-        "step",
-        "push",
-        "time",
-        "get-up",
-    ),
-    "valor.valorctl.drive.calibration_verbs": ("calibrate",),
+    f"{_DRIVE}.motion_verbs": ("stop", "mode", "controller", "arm", "hand", "walk", "step", "push", "time", "get-up"),
+    f"{_DRIVE}.calibration_verbs": ("calibrate",),
     "valor.valorctl.robots.robot_verbs": ("robot",),
     "valor.valorctl.policies.policy_verbs": ("policy",),
     "valor.valorctl.recordings.bag_verbs": ("bag", "video"),
