@@ -167,7 +167,7 @@ def _leapp_term(stated: Mapping[str, Any]) -> TermFact:
     term = _INPUT_KINDS.get(kind, "")
     if kind == "state/vector3d" and "projected_gravity" in about:
         term = "projected_gravity"
-    if term.endswith("velocity") and term.startswith("base_") and re.search(r"_w\b", about):
+    if term in {"base_angular_velocity", "base_linear_velocity"} and re.search(r"_w\b", about):
         term = ""  # in the world's frame
     joints = tuple(words) if term.startswith("joint_") and words else None
     if joints is None and term != "base_orientation" and words not in _WORDS:
