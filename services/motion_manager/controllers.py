@@ -1,31 +1,28 @@
 """Controllers of a robot beside the Whole-Body Controller, from the names in ``controllers`` of robot.yaml.
 
-A name is that of an installed package's entry point in the group ``valor.controllers``, or of a policy of the robot.
+Which there are: ``valor.robot.checks.controllers``.
 """
 
 from __future__ import annotations
 
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from valor.common.errors import ConfigurationError
+from valor.common.errors import ConfigurationError, SeveralFaultsError
 from valor.control.controller import Controller, ControllerFactory
 from valor.control.kinematics import Kinematics
+from valor.robot.checks.controllers import controllers_exist, installed, others, policy_file
 from valor.robot.description import RobotDescription
-from valor.robot.motion_tables import WHOLE_BODY
-
-GROUP = "valor.controllers"
 
 
 def controller_factories(robot: RobotDescription) -> list[ControllerFactory]:
     """Return one factory for each name. Raises ConfigurationError: there is no such controller or policy."""
-    installed = {each.name: each for each in entry_points(group=GROUP)}
-    names = dict.fromkeys(name for each in robot.tables.controllers.names().values() for name in each)
+    SeveralFaultsError.require_none(robot.error(each.path, each.what) for each in controllers_exist(robot))
+    found = installed()
     return [
-        partial(_installed, installed[name]) if name in installed else partial(policy_controller, _file(name, robot))
-        for name in names
-        if name != WHOLE_BODY
+        partial(_installed, found[name]) if name in found else partial(policy_controller, policy_file(robot, name))
+        for name in others(robot)
     ]
 
 
@@ -46,15 +43,3 @@ def policy_controller(file: Path, robot: RobotDescription, kinematics: Kinematic
     from valor.policies.policy import Policy
 
     return PolicyController(Policy(load(file, robot), robot), robot)
-
-
-def _file(name: str, robot: RobotDescription) -> Path:
-    file = robot.folder / "policies" / f"{name}.onnx"
-    if not file.is_file():
-        known = ", ".join(sorted(each.stem for each in file.parent.glob("*.onnx"))) or "none"
-        raise robot.error(
-            ("controllers",),
-            f"no controller {name!r}; expected {WHOLE_BODY}, an installed one (entry points {GROUP}), or a policy in "
-            f"{file.parent} ({known}); `valorctl policy add FILE` adds one",
-        )
-    return file

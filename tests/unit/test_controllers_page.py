@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from harness.closed_loop import load_robot
-from harness.places import REPOSITORY
+from harness.places import REPOSITORY, ROBOTS
 from harness.robot_in_process import RobotInProcess
 from valor.common.behaviors import Behavior
 from valor.common.errors import ConfigurationError
 from valor.motion_manager.controllers import controller_factories
 from valor.robot.motion_tables import WHOLE_BODY
+from valor.valorctl.robots.robot_check import examine
 
 
 @pytest.fixture
@@ -44,6 +46,13 @@ def test_it_takes_over(installed: str) -> None:
     assert exchange.active.name == installed and loop.behavior is Behavior.STAND
 
 
-def test_a_name_that_nothing_has_is_rejected() -> None:
-    with pytest.raises(ConfigurationError, match="no controller 'statue'; expected whole_body, an installed one"):
+def test_a_name_that_nothing_has_is_rejected(tmp_path: Path) -> None:
+    words = "no controller 'statue'; expected whole_body, an installed one"
+    with pytest.raises(ConfigurationError, match=words):
         controller_factories(load_robot(controllers={"stand": [WHOLE_BODY, "statue"]}))
+    folder = tmp_path / "escher"
+    shutil.copytree(ROBOTS / "escher", folder)
+    with (folder / "robot.yaml").open("a") as table:
+        table.write("controllers: { walk: [whole_body, statue] }\n")
+    (fault,) = examine(folder).faults
+    assert re.search(rf"robot.yaml:\d+:.*{words}", str(fault))

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 def examine(folder: Path, control_rate: float | None = None) -> Findings:
     """Return all faults of a robot's folder; ``control_rate`` [Hz] replaces robot.yaml's."""
     from valor.robot.checks import folder as checks  # imports MuJoCo: 0.2 s
+    from valor.robot.checks.controllers import controllers_exist
 
-    return checks.examine(folder, control_rate, more=(margins_fit_the_soles,))
+    return checks.examine(folder, control_rate, more=(margins_fit_the_soles, controllers_exist))
 
 
 _POLL = 0.2  # [s]
