@@ -26,9 +26,11 @@ N = 5
 class Robot(RobotInProcess):
     """ESCHER in Stand, with another controller."""
 
-    def __init__(self, make: Callable[[RobotDescription], Controller], seed: int = 1) -> None:
-        robot = load_robot(controllers={"stand": [WHOLE_BODY, "statue", "spoiled"]})
-        super().__init__(robot, "hardware", seed, others=[lambda description, kinematics: make(description)])
+    def __init__(
+        self, make: Callable[[RobotDescription], Controller], names: tuple[str, ...] = (WHOLE_BODY, "statue", "spoiled")
+    ) -> None:
+        robot = load_robot(controllers={"stand": list(names)})
+        super().__init__(robot, "hardware", 1, others=[lambda description, kinematics: make(description)])
         self.limit: FloatArray = robot.effort_limit
         assert self.run_until(lambda: not self.ask(Behavior.STAND), 10.0), self.ask(Behavior.STAND)
         self.run(0.5)
@@ -57,6 +59,12 @@ def test_controllers_are_exchanged_to_and_fro_without_a_jump() -> None:
             assert not robot.choose(name)
             assert robot.largest_step(rng.uniform(0.6, 1.2)) < STEP
             assert robot.exchange.active.name == name and robot.behavior is Behavior.STAND
+
+
+def test_the_first_of_the_list_takes_over_once_the_robot_balances() -> None:
+    robot = Robot(Statue, ("statue", WHOLE_BODY))
+    assert robot.largest_step(1.0) < STEP
+    assert robot.exchange.active.name == "statue" and robot.behavior is Behavior.STAND
 
 
 def test_arms_follow_their_targets_under_a_controller_of_the_legs() -> None:

@@ -24,6 +24,7 @@ from valor.robot.description import RobotDescription
 from valor.robot.motion_tables import WHOLE_BODY
 from valor.whole_body.controller import WholeBodyController
 
+STARTED = 0.5  # duration of balance before an exchange, longer than the blend from the servos [s]
 SHADOW = 0.1  # duration of sound commands before control [s]
 BLEND = 0.3  # from one controller to the next [s]
 QUICK = 0.1  # to the Whole-Body Controller, from one that failed [s]
@@ -82,7 +83,7 @@ class ControllerExchange:
         self._old: Controller | None = None  # whose commands fade out
         self._old_command: JointCommand | None = None
         self._blend = (0.0, BLEND)  # its start and duration [s]
-        self._calm = 0.0  # duration at rest [s]
+        self._balanced = self._calm = 0.0  # duration of balance, and at rest [s]
         self._arriving = False  # whether the Whole-Body Controller still brings the robot to rest
 
     @property
@@ -133,18 +134,21 @@ class ControllerExchange:
 
     def end(self) -> None:
         """Give up control."""
+        self._withdraw()
         for controller in (self.active, self._old, self._whole_body):
             if controller is not None:
                 controller.end()
         self.active, self._old, self._old_command, self._command = self._whole_body, None, None, None
-        self.pending = self.failed = ""
+        self.failed, self._balanced = "", 0.0
 
     def update(self, state: RobotState, request: Request, dt: float, now: float) -> JointCommand:
         """Command of a period of ``dt`` [s] at robot time ``now`` [s]."""
         self._calm = self._calm + dt if self._whole_body.at_rest and _speed(state) < STILL else 0.0
         if self.failed:
             request = replace(request, locomotion=Locomotion.STAND, steps=None, velocity=np.zeros(3))
-        wanted = WHOLE_BODY if self.failed else self._wanted(request.locomotion)
+        self._balanced += dt
+        early = self._balanced < STARTED
+        wanted = WHOLE_BODY if early or self.failed else self._wanted(request.locomotion)
         if wanted == self.active.name:
             self._withdraw()
         elif wanted != self.pending:
