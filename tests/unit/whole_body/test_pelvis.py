@@ -36,7 +36,7 @@ class Bench:
     def __init__(self, pelvis: PelvisReference, *behaviors: Behavior) -> None:
         self.fsm, self.pelvis, self.rejections = BehaviorFsm(), pelvis, RejectionCounter()
         components: Any = SimpleNamespace(
-            fsm=self.fsm, controller=SimpleNamespace(pelvis=pelvis), rejections=self.rejections
+            fsm=self.fsm, whole_body=SimpleNamespace(pelvis=pelvis), rejections=self.rejections
         )
         self.handler = PelvisHandler(components)
         for behavior in (Behavior.STAND_PREP, *behaviors):

@@ -11,6 +11,7 @@ from rich.console import Group
 
 from valor.common import balance_controllers
 from valor.common.balance_controllers import allowed, in_control
+from valor.common.behaviors import Locomotion
 from valor.common.errors import ValorError
 from valor.common.instance import Instance
 from valor.common.messages import ControllerRequest, ControllerStatus
@@ -36,8 +37,8 @@ class Controllers:
             "in_control": in_control(status, self.behavior) or None,
             "pending": status.pending or None,
             "reason": status.reason or None,
-            "stand": {"chosen": status.stand[0], "allowed": sorted(status.stand)},
-            "walk": {"chosen": status.walk[0], "allowed": sorted(status.walk)},
+            Locomotion.STAND: {"chosen": status.stand[0], "allowed": sorted(status.stand)},
+            Locomotion.WALK: {"chosen": status.walk[0], "allowed": sorted(status.walk)},
         }
 
     def view(self) -> Group:
@@ -80,6 +81,6 @@ def change(instance: Instance, name: str, check: Callable[[], None]) -> tuple[di
     values = {"requested": name, "behavior": present.behavior, "reached": now, "latency_s": latency}
     if now:
         return values, f"controller {name} in control ({latency * 1e3:.0f} ms)"
-    where = [f"{key}s" for key in ("stand", "walk") if name in getattr(present.status, key)]
+    where = [f"{key}s" for key in (Locomotion.STAND, Locomotion.WALK) if name in getattr(present.status, key)]
     waits = f"it takes over when the robot {' or '.join(where)}; it is in behavior {present.behavior}"
     return values, f"controller {name} chosen: {waits}"
