@@ -53,7 +53,7 @@ class Components:
         self.whole_body = WholeBodyController(robot, self.estimator.kinematics)
         self.stance = Stance(robot, self.estimator.kinematics.mass * self.estimator.kinematics.gravity)
         self.exchange = ControllerExchange(
-            robot, self.whole_body, (make(robot, self.estimator.kinematics) for make in others), self.stance.not_loaded
+            robot, self.whole_body, (make(robot, self.estimator.kinematics) for make in others), self.stance
         )
         self.authority = ControlAuthority(self.fsm, self.stance, self._swings)
         self.device_reactions = DeviceReactions(self.fsm, lambda: not self.exchange.at_rest)

@@ -6,7 +6,7 @@ robot time, a balance reflex or a process restart; the robot then moves only on 
 
 import logging
 from collections.abc import Callable, Mapping
-from math import acos, degrees
+from math import degrees
 
 from valor.common.behaviors import REFLEX, Behavior, Locomotion, Reaction
 from valor.common.messages import DeviceStatus
@@ -77,10 +77,9 @@ class Stance:
         return self.not_upright(state) or self.not_loaded(state)
 
     def not_upright(self, state: RobotState) -> str:
-        tilt = acos(min(1.0, max(-1.0, float(state.pelvis_rotation_in_odom[2, 2]))))
-        if tilt <= self._tilt:
+        if state.tilt <= self._tilt:
             return ""
-        return f"the pelvis is tilted {degrees(tilt):.0f}°; expected at most {degrees(self._tilt):.0f}°"
+        return f"the pelvis is tilted {degrees(state.tilt):.0f}°; expected at most {degrees(self._tilt):.0f}°"
 
     def not_loaded(self, state: RobotState) -> str:
         left, right = state.foot_forces.tolist()

@@ -9,7 +9,7 @@ estimate's error and for the effect of swinging arms. While the robot steps, the
 and the stance foot, and the margin is larger: the step after it can still save the robot (capturability with one step).
 """
 
-from math import acos, degrees, hypot
+from math import degrees, hypot
 
 import numpy as np
 
@@ -55,6 +55,24 @@ def corners_on_ground(corners: FloatArray, positions: FloatArray, rotations: Flo
     return [(x, y) for x, y, _ in placed.reshape(-1, 3).tolist()]
 
 
+class SupportPolygon:
+    """Convex hull of both soles on the ground."""
+
+    def __init__(self, feet: Feet) -> None:
+        self._corners, self._radius = sole_corners(feet), inner_radius(feet)
+
+    def dcm_beyond(
+        self, state: RobotState, margin: float, soles: tuple[FloatArray, FloatArray] | None = None
+    ) -> float | None:
+        """Distance of the DCM from the polygon, if above ``margin`` [m]; else None. ``soles``: other poses of them."""
+        positions, rotations = soles or (state.sole_positions_in_odom, state.sole_rotations_in_odom)
+        x, y, _ = state.dcm_in_odom.tolist()
+        if surely_within(positions, rotations, self._radius, (x, y), margin):
+            return None
+        outside = distance_outside(convex_hull(corners_on_ground(self._corners, positions, rotations)), x, y)
+        return outside if outside > margin else None
+
+
 class FallDetector:
     """Detects a fall, with the quantity that shows it."""
 
@@ -62,8 +80,7 @@ class FallDetector:
         tables = robot.tables
         self._limits = limits = robot.read(Tuning).fall
         self._lowest = limits.height * tables.nominal_base_height
-        self._corners = sole_corners(tables.feet)
-        self._radius = inner_radius(tables.feet)
+        self._support = SupportPolygon(tables.feet)
         self._outside_since: int | None = None
 
     def reset(self) -> None:
@@ -75,10 +92,9 @@ class FallDetector:
         return self._tilt(state) or self._height(state) or self._dcm(state, soles)
 
     def _tilt(self, state: RobotState) -> str | None:
-        tilt = acos(min(1.0, max(-1.0, state.pelvis_rotation_in_odom.item(8))))
-        if tilt <= self._limits.tilt:
+        if state.tilt <= self._limits.tilt:
             return None
-        return f"pelvis tilted {degrees(tilt):.0f}°, limit {degrees(self._limits.tilt):.0f}°"
+        return f"pelvis tilted {degrees(state.tilt):.0f}°, limit {degrees(self._limits.tilt):.0f}°"
 
     def _height(self, state: RobotState) -> str | None:
         soles = state.sole_positions_in_odom
@@ -88,15 +104,9 @@ class FallDetector:
         return f"pelvis {height:.2f} m above the soles, limit {self._lowest:.2f} m"
 
     def _dcm(self, state: RobotState, soles: tuple[FloatArray, FloatArray] | None) -> str | None:
-        positions, rotations = soles or (state.sole_positions_in_odom, state.sole_rotations_in_odom)
-        x, y, _ = state.dcm_in_odom.tolist()
         limit = self._limits.dcm_margin if soles is None else self._limits.dcm_margin_stepping
-        if surely_within(positions, rotations, self._radius, (x, y), limit):
-            self._outside_since = None
-            return None
-        points = corners_on_ground(self._corners, positions, rotations)
-        outside = distance_outside(convex_hull(points), x, y)
-        if outside <= limit:
+        outside = self._support.dcm_beyond(state, limit, soles)
+        if outside is None:
             self._outside_since = None
             return None
         if self._outside_since is None:

@@ -6,6 +6,7 @@ base; a *sole* is the site under a foot.
 """
 
 from dataclasses import dataclass
+from math import acos, hypot
 
 import numpy as np
 import numpy.typing as npt
@@ -42,3 +43,13 @@ class RobotState:
     pelvis_linear_velocity_variance: FloatArray  # (3,) [m²/s²]
     # (6,) from midway between the soles, in their mean heading [m]; roll, pitch, yaw [rad]
     pelvis_in_support: FloatArray
+
+    @property
+    def tilt(self) -> float:
+        """Angle of the pelvis from upright [rad]."""
+        return acos(min(1.0, max(-1.0, self.pelvis_rotation_in_odom.item(8))))
+
+    @property
+    def com_speed(self) -> float:
+        """Horizontal speed of the CoM [m/s]."""
+        return hypot(*self.com_velocity_in_odom[:2].tolist())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import hypot
-
 import numpy as np
 
 from valor.common.behaviors import Locomotion
@@ -57,8 +55,7 @@ class PolicyController(Controller):
         """Let the policy act."""
         asked = request.velocity if request.locomotion is Locomotion.WALK else np.zeros(3)
         self._velocity = np.clip(asked, self._velocity - self._change, self._velocity + self._change)
-        slow = hypot(*state.com_velocity_in_odom[:2].tolist()) < STILL
-        self._rests = bool(slow and state.contacts.all() and not self._velocity.any())
+        self._rests = bool(state.com_speed < STILL and state.contacts.all() and not self._velocity.any())
         turn = state.pelvis_rotation_in_odom
         targets = self._policy.act(
             Senses(

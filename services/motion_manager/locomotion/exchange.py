@@ -8,9 +8,8 @@ lowers a foot in the air, and brings the robot to rest; then the behavior change
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
-from math import hypot
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from valor.common.messages import ControllerStatus
 from valor.control.controller import Controller, JointCommand, JointTargets, Request
 from valor.control.state import RobotState
 from valor.motion_manager.locomotion.supervision import Supervised
+from valor.motion_manager.safety import Stance
 from valor.robot.description import RobotDescription
 from valor.robot.motion_tables import WHOLE_BODY
 from valor.whole_body.controller import WholeBodyController
@@ -68,11 +68,10 @@ class ControllerExchange:
         robot: RobotDescription,
         whole_body: WholeBodyController,
         others: Iterable[Controller],
-        not_loaded: Callable[[RobotState], str],
+        stance: Stance,
     ) -> None:
-        """``not_loaded``: reason why the feet do not both carry weight; empty if they do."""
-        self._robot, self._whole_body, self._not_loaded = robot, whole_body, not_loaded
-        self._others = {each.name: Supervised(robot, each) for each in others}
+        self._robot, self._whole_body, self._stance = robot, whole_body, stance
+        self._others = {each.name: Supervised(robot, each, stance) for each in others}
         self.allowed = robot.tables.controllers.names()
         self.chosen = {state: names[0] for state, names in self.allowed.items()}
         self.active: Controller = whole_body
@@ -143,7 +142,7 @@ class ControllerExchange:
 
     def update(self, state: RobotState, request: Request, dt: float, now: float) -> JointCommand:
         """Command of a period of ``dt`` [s] at robot time ``now`` [s]."""
-        self._calm = self._calm + dt if self._whole_body.at_rest and _speed(state) < STILL else 0.0
+        self._calm = self._calm + dt if self._whole_body.at_rest and state.com_speed < STILL else 0.0
         if self.failed:
             request = replace(request, locomotion=Locomotion.STAND, steps=None, velocity=np.zeros(3))
         self._balanced += dt
@@ -201,10 +200,10 @@ class ControllerExchange:
 
     def _take_up(self, state: RobotState, request: Request, dt: float, now: float) -> None:
         """Exchange the controllers if the conditions hold; reject the exchange if they do not for too long."""
-        name, reason = self.pending, self._not_loaded(state)
+        name, reason = self.pending, self._stance.not_loaded(state)
         if name == WHOLE_BODY:
             urgent = request.locomotion is Locomotion.SOFT_STOP or now - self._since > WAITING
-            slow = not reason and _speed(state) < SLOW and now - self._since > 0.5 * WAITING
+            slow = not reason and state.com_speed < SLOW and now - self._since > 0.5 * WAITING
             if urgent or slow or self.active.at_rest:
                 self._exchange(self._whole_body, state, now, BLEND)
             return
@@ -280,7 +279,3 @@ class ControllerExchange:
         if self._old is not None and (still := self._of(self._old, state, replace(request, steps=None), dt)):
             self._old_command = still
         return blended(self._old_command, command, share)
-
-
-def _speed(state: RobotState) -> float:
-    return hypot(*state.com_velocity_in_odom[:2].tolist())
