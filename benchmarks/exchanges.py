@@ -51,14 +51,14 @@ class Exchanges:
         others = controller_factories(self._robot)
         self._loop = loop = RobotInProcess(self._robot, self._profile, self._seed, others=others)
         self._effort: FloatArray = loop.plant.actuators.effort.copy()
-        loop.run_until(lambda: not loop.ask(Behavior.STAND), 10.0)
+        loop.stand_up()
         self._pass(1.0)
         if self._velocity[0]:
             loop.ask(Behavior.WALK)
             self._pass(3.0)
 
     def _pass(self, seconds: float) -> float:
-        """Run; returns the largest step of a torque."""
+        """Run for a time; returns the largest step of a torque."""
         largest = 0.0
         for _ in range(round(seconds / self._robot.control_period)):
             self._loop.walk(self._velocity, self._robot.control_period)

@@ -28,7 +28,7 @@ class Dancer(RobotInProcess):
         self._velocities = VelocityHandler(components)
         self.each, self.wanted = self._dance, ROBOT.nominal_posture.copy()
         self.seen: list[FloatArray] = []  # measured, error, commanded positions of each period
-        self.run_until(lambda: not self.ask(Behavior.STAND), 10.0)
+        self.stand_up()
         assert not any(map(self.ask, path))
 
     def freeze(self, *limbs: str, behavior: str = "freeze") -> BehaviorReply:

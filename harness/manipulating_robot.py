@@ -51,7 +51,7 @@ class ManipulatingRobot(RobotInProcess):
         angle = math.atan2(heading[1], heading[0])
         c, s = math.cos(angle), math.sin(angle)
         self._odom = middle, np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
-        assert self.run_until(lambda: not self.ask(Behavior.STAND), 10.0), self.ask(Behavior.STAND)
+        assert not (refused := self.stand_up()), refused
         self.run(1.0)
         assert not self.ask(Behavior.STAND_MANIPULATE)
         self.run(1.5)

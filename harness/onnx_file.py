@@ -1,4 +1,4 @@
-"""ONNX files of affine functions, written without a library: what policies are to whoever tests how they are read."""
+"""ONNX files of affine functions, written without a library: policies for tests of their reading."""
 
 from __future__ import annotations
 

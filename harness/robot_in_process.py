@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
-from valor.control.controller import ControllerFactory
-from valor.robot.description import RobotDescription
 from valor.self_test import robot_in_process
 
 LYING = 3.0  # after a fall [s]
@@ -18,22 +16,12 @@ STANDING = 2.0  # in Stand, at the end [s]
 
 
 class RobotInProcess(robot_in_process.RobotInProcess):
-    """A robot in a world under its Motion Manager.
+    """A robot in a world under its Motion Manager."""
 
-    Attributes:
-        peak: (n,) largest torque of each joint [N·m]; set it to zero to begin anew.
-    """
-
-    def __init__(
-        self,
-        robot: RobotDescription,
-        profile: str,
-        seed: int,
-        world: str = "flat",
-        others: Sequence[ControllerFactory] = (),
-    ) -> None:
-        super().__init__(robot, profile, seed, world, others)
-        self.peak: FloatArray = np.zeros(len(robot.joints))
+    @cached_property
+    def peak(self) -> FloatArray:
+        """(n,) largest torque of each joint [N·m]; set it to zero to begin anew."""
+        return np.zeros_like(self.plant.actuators.effort)
 
     def step(self) -> None:
         """One control period."""
@@ -42,7 +30,7 @@ class RobotInProcess(robot_in_process.RobotInProcess):
 
     def fall(self, push: tuple[float, float, float]) -> None:
         """Stand, be pushed over, lie still."""
-        assert self.run_until(lambda: not self.ask(Behavior.STAND), 10.0), self.ask(Behavior.STAND)
+        assert not (refused := self.stand_up()), refused
         self.run(0.5)
         self.plant.push(np.array(push), 0.1)
         assert self.run_until(lambda: self.behavior is Behavior.FALL, 3.0)
@@ -69,7 +57,7 @@ class RobotInProcess(robot_in_process.RobotInProcess):
 
     def stand(self) -> str:
         """From Stand Prep to Stand, for a while: what came in between, or an empty text."""
-        if not self.run_until(lambda: not self.ask(Behavior.STAND), 10.0):
-            return self.ask(Behavior.STAND)
+        if refused := self.stand_up():
+            return refused
         self.run(STANDING)
         return "" if self.behavior is Behavior.STAND else self.manager.fsm.reason

@@ -47,7 +47,7 @@ class WalkingRobot(RobotInProcess):
         super().__init__(robot, profile, seed)
         self._robot = robot
         self._reflex = BalanceReflex(robot)
-        assert self.run_until(lambda: not self.ask(Behavior.STAND), 10.0), self.ask(Behavior.STAND)
+        assert not (refused := self.stand_up()), refused
         self.run(1.0)
         assert not self.ask(Behavior.WALK)
 

@@ -76,7 +76,7 @@ class SimulatedRobot:
 
     @property
     def recent(self) -> Proprioceptor:
-        """Measurements up to ``RECENT`` old, as of devices with a cycle of their own."""
+        """Measurements up to ``RECENT`` old, for devices with another cycle."""
         if self._recent is None or self.time - 1e-9 * self._recent.time > RECENT:
             self._recent = self.measured
         return self._recent

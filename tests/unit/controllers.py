@@ -105,4 +105,4 @@ SPOILED: dict[str, tuple[Spoil, str]] = {
     "reversed": (_reverses, ""),
     "no torque": (lambda s, c, x: replace(c, effort=0.0 * c.effort, stiffness=0.0 * c.stiffness), ""),
 }
-"""What goes wrong → how, and part of the fault that is to be named."""
+"""Defect → how a command gets it, and part of the fault to be named."""

@@ -18,7 +18,6 @@ from harness.instance import RunningInstance
 from harness.robot_in_process import RobotInProcess
 from harness.waiting import PATIENCE, wait_until
 from tests.unit.controllers import SPOILED, Spoiled, Statue
-from valor.common.behaviors import Behavior
 from valor.common.errors import ValorError
 from valor.common.instance import Settings
 from valor.common.messages import BehaviorChange
@@ -43,7 +42,7 @@ class Balancing:
         spoil = SPOILED["not a number"][0]
         others = [lambda description, _: Statue(description), lambda description, _: Spoiled(description, spoil, 0.0)]
         self._robot = RobotInProcess(robot, "hardware", 1, others=others)
-        assert self._robot.run_until(lambda: not self._robot.ask(Behavior.STAND), 10.0)
+        assert not self._robot.stand_up()
         node = instance.node("motion_manager")
         self._statuses, self._changes = CONTROLLERS.publisher(node), BEHAVIOR_CHANGE.publisher(node)
         self._server = CONTROLLER.server(node, ControllerHandler(self._robot.manager.components).handle)

@@ -32,7 +32,7 @@ class Robot(RobotInProcess):
         robot = load_robot(controllers={"stand": list(names)})
         super().__init__(robot, "hardware", 1, others=[lambda description, kinematics: make(description)])
         self.limit: FloatArray = robot.effort_limit
-        assert self.run_until(lambda: not self.ask(Behavior.STAND), 10.0), self.ask(Behavior.STAND)
+        assert not (refused := self.stand_up()), refused
         self.run(0.5)
 
     @property
@@ -43,7 +43,7 @@ class Robot(RobotInProcess):
         return self.exchange.choose(name, self.manager.components.state)
 
     def largest_step(self, seconds: float) -> float:
-        """Of any joint's torque between two periods, fraction of its limit."""
+        """Largest change of a joint's torque between two periods, fraction of its limit."""
         largest, before = 0.0, self.plant.actuators.effort.copy()
         for _ in range(round(seconds / self._period)):
             self.step()

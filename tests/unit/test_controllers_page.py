@@ -39,7 +39,7 @@ def test_it_takes_over(installed: str) -> None:
     robot = load_robot(controllers={"stand": [WHOLE_BODY, installed]})
     loop = RobotInProcess(robot, "hardware", 1, others=controller_factories(robot))
     exchange = loop.manager.components.exchange
-    assert loop.run_until(lambda: not loop.ask(Behavior.STAND), 10.0)
+    assert not loop.stand_up()
     loop.run(0.5)
     assert not exchange.choose(installed, loop.manager.components.state)
     loop.run(1.0)

@@ -1,1 +1,1 @@
-"""What every controller needs: its interface, the estimated state, fall detection, the joint command."""
+"""Parts that every controller needs: interface, estimated state, fall detection, joint command."""

@@ -36,7 +36,7 @@ class JointTargets:
 
 @dataclass(slots=True)
 class Request:
-    """What a controller is to do in a period."""
+    """Request to a controller for a period."""
 
     joints: JointTargets
     locomotion: Locomotion = Locomotion.STAND

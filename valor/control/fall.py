@@ -61,10 +61,10 @@ class SupportPolygon:
     def __init__(self, feet: Feet) -> None:
         self._corners, self._radius = sole_corners(feet), inner_radius(feet)
 
-    def dcm_beyond(
+    def dcm_outside(
         self, state: RobotState, margin: float, soles: tuple[FloatArray, FloatArray] | None = None
     ) -> float | None:
-        """Distance of the DCM from the polygon, if above ``margin`` [m]; else None. ``soles``: other poses of them."""
+        """Distance of the DCM outside the polygon, if above ``margin`` [m]; else None. ``soles``: other poses."""
         positions, rotations = soles or (state.sole_positions_in_odom, state.sole_rotations_in_odom)
         x, y, _ = state.dcm_in_odom.tolist()
         if surely_within(positions, rotations, self._radius, (x, y), margin):
@@ -105,7 +105,7 @@ class FallDetector:
 
     def _dcm(self, state: RobotState, soles: tuple[FloatArray, FloatArray] | None) -> str | None:
         limit = self._limits.dcm_margin if soles is None else self._limits.dcm_margin_stepping
-        outside = self._support.dcm_beyond(state, limit, soles)
+        outside = self._support.dcm_outside(state, limit, soles)
         if outside is None:
             self._outside_since = None
             return None

@@ -37,7 +37,7 @@ class PolicyError(SeveralFaultsError):
 
 @dataclass(frozen=True)
 class Contract:
-    """What a policy needs and gives; vectors have one entry for each of its m joints, in its order."""
+    """Inputs and outputs of a policy; vectors have one entry for each of its m joints, in its order."""
 
     name: str
     convention: str

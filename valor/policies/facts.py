@@ -1,4 +1,4 @@
-"""What is known about a policy: facts with their sources, and problems; the sidecar, in which a user states facts."""
+"""Facts about a policy with their sources, and problems; the sidecar, in which a user states facts."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FACTS: dict[str, str] = {
 
 
 class Source(StrEnum):
-    """Where a fact is from."""
+    """Origin of a fact."""
 
     FILE = "file"  # the ONNX file
     TABLE = "table"  # the exporter's YAML file next to it

@@ -17,7 +17,7 @@ from valor.robot.tables import SIDES
 from valor.self_test.closed_loop import MeasuredLoop, leg_length
 from valor.self_test.plan_walk import take_plan
 from valor.self_test.results import AcceptanceResult
-from valor.simulation.plant import SimulationDivergedError
+from valor.simulation.plant import Plant, SimulationDivergedError
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 PASSIVE = 2.0  # on the servos only [s]
@@ -45,6 +45,17 @@ DIRECTIONS = {
     "left": (0.0, 1.0, 0.0),
     "right": (0.0, -1.0, 0.0),
 }
+
+
+def push_impulse(plant: Plant) -> float:
+    """Return the impulse of a push, by the robot's mass [N·s]."""
+    model = plant.model
+    return IMPULSE * float(model.mj.body_subtreemass[model.body(model.robot.tables.base)])
+
+
+def walking_speed(robot: RobotDescription) -> float:
+    """Return the speed of a walk, by the robot's legs [m/s]."""
+    return min(SPEED * math.sqrt(leg_length(robot) / LEG), robot.tables.walking.max_forward_speed)
 
 
 class SelfTest:
@@ -148,16 +159,15 @@ class SelfTest:
 
     def _push(self, direction: tuple[float, float, float]) -> Callable[[MeasuredLoop], tuple[str, str]]:
         def test(loop: MeasuredLoop) -> tuple[str, str]:
-            mj = loop.plant.model.mj
-            mass = float(mj.body_subtreemass[loop.plant.model.body(self._robot.tables.base)])
-            loop.plant.push(IMPULSE * mass * np.array(direction), PUSH)
+            impulse = push_impulse(loop.plant)
+            loop.plant.push(impulse * np.array(direction), PUSH)
             stepped = False
             until = loop.time + RECOVERY
             while loop.time < until and loop.fall is None:
                 loop.step()
                 stepped = stepped or not loop.controller.at_rest
             error = np.hypot(*(loop.state.dcm_in_odom - loop.command.dcm_reference_in_odom)[:2])
-            measured = f"{IMPULSE * mass:.1f} N·s" + (", by a step" if stepped else "")
+            measured = f"{impulse:.1f} N·s" + (", by a step" if stepped else "")
             limit = _CALM * self._half_width
             return (f"the DCM still swings by {error:.3f} m" if error > limit else ""), measured
 
@@ -181,7 +191,7 @@ class SelfTest:
         return (f"{measured}; expected at most {limit * 1e3:.0f}" if walked.true[0] > limit else ""), measured
 
     def _walk(self, loop: MeasuredLoop) -> tuple[str, str]:
-        speed = min(SPEED * math.sqrt(self._size), self._robot.tables.walking.max_forward_speed)
+        speed = walking_speed(self._robot)
         loop.request.steps = source = VelocitySteps(self._robot.tables.walking)
         began = loop.time
         while loop.fall is None and (loop.time < began + WALK or not loop.controller.at_rest):

@@ -1,6 +1,5 @@
 """Acceptance tests of a controller beside the Whole-Body Controller: it takes over, is pushed, walks and gives back."""
 
-import math
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -11,8 +10,7 @@ from valor.common.behaviors import Behavior
 from valor.control.controller import ControllerFactory
 from valor.robot.description import RobotDescription
 from valor.robot.motion_tables import WHOLE_BODY, Controllers
-from valor.self_test.acceptance import DIRECTIONS, IMPULSE, LEG, PUSH, RECOVERY, SPEED, WALK
-from valor.self_test.closed_loop import leg_length
+from valor.self_test.acceptance import DIRECTIONS, PUSH, RECOVERY, WALK, push_impulse, walking_speed
 from valor.self_test.results import AcceptanceResult
 from valor.self_test.robot_in_process import RobotInProcess
 from valor.simulation.plant import SimulationDivergedError
@@ -30,8 +28,7 @@ class ControllerTest:
         tables = msgspec.structs.replace(robot.tables, controllers=Controllers(stand=names, walk=names))
         self._robot = RobotDescription(robot.folder, tables)
         self._profile, self._name, self._make = profile, name, make
-        size = leg_length(robot) / LEG
-        self._speed = min(SPEED * math.sqrt(size), robot.tables.walking.max_forward_speed)
+        self._speed = walking_speed(robot)
 
     def tests(self) -> Iterator[tuple[str, Callable[[], AcceptanceResult]]]:
         """Name and function of each test."""
@@ -57,8 +54,8 @@ class ControllerTest:
 
     def _take_over(self, robot: RobotInProcess) -> str:
         exchange = robot.manager.components.exchange
-        if not robot.run_until(lambda: not robot.ask(Behavior.STAND), 10.0):
-            return robot.ask(Behavior.STAND)
+        if refused := robot.stand_up():
+            return refused
         robot.run(1.0)
         if refusal := exchange.choose(self._name, robot.manager.components.state):
             return refusal
@@ -77,11 +74,10 @@ class ControllerTest:
         return "", f"height {robot.plant.data.qpos[2]:.3f} m"
 
     def _push(self, direction: tuple[float, float, float], robot: RobotInProcess) -> tuple[str, str]:
-        mj = robot.plant.model.mj
-        mass = float(mj.body_subtreemass[robot.plant.model.body(self._robot.tables.base)])
-        robot.plant.push(IMPULSE * mass * np.array(direction), PUSH)
+        impulse = push_impulse(robot.plant)
+        robot.plant.push(impulse * np.array(direction), PUSH)
         robot.run(RECOVERY)
-        return self._lost(robot, self._name), f"{IMPULSE * mass:.1f} N·s"
+        return self._lost(robot, self._name), f"{impulse:.1f} N·s"
 
     def _walk(self, robot: RobotInProcess) -> tuple[str, str]:
         if refusal := robot.ask(Behavior.WALK):

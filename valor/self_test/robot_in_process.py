@@ -62,6 +62,10 @@ class RobotInProcess:
         reply = BehaviorHandler(self.manager.components).handle(BehaviorRequest(behavior), _CLIENT)
         return "" if reply.accepted else reply.reason
 
+    def stand_up(self) -> str:
+        """Change to Stand as soon as it is accepted; returns the reason why it is not within 10 s, or an empty text."""
+        return "" if self.run_until(lambda: not self.ask(Behavior.STAND), 10.0) else self.ask(Behavior.STAND)
+
     def step(self) -> None:
         """One control period."""
         self._sequence += 1

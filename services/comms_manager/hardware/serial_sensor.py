@@ -47,7 +47,7 @@ class SerialSensor(Device):
         self._clock = DeviceClock()
         self._unread = True  # samples wait that were received while other devices were found
         self._looked = math.inf  # time of the last read [monotonic s]
-        self._away = 0.0  # delay of the latest read beyond ``_WAIT`` [s]
+        self._away = 0.0  # delay of the latest read, above ``_WAIT`` [s]
 
     @abstractmethod
     def _wanted(self) -> str:

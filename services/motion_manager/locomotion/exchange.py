@@ -96,7 +96,7 @@ class ControllerExchange:
         return self.active.at_rest
 
     def footholds(self, state: RobotState) -> tuple[FloatArray, FloatArray] | None:
-        """Soles after the step under way, as of ``Controller``; if the controller does not know, under the DCM."""
+        """Soles after the step under way, see ``Controller``; if the controller does not know, under the DCM."""
         found = self.active.footholds(state)
         if found is not None or self.active is self._whole_body:
             return found

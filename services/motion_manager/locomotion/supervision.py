@@ -1,4 +1,4 @@
-"""Supervision of a controller: what makes its commands unfit to be executed."""
+"""Supervision of a controller: faults for which its commands are not executed."""
 
 from __future__ import annotations
 
@@ -129,13 +129,13 @@ class Supervised:
         if speed > self._fastest:
             return f"the pelvis moves at {speed:.2f} m/s; expected at most {self._fastest:.2f} m/s"
         walks = request.locomotion is Locomotion.WALK or self.controller.steps_to_balance
-        beyond = (np.abs(state.joint_velocity) - self._joint_speeds[walks]) * self._legs
-        if beyond.max() > 0.0:
-            joint = int(beyond.argmax())
+        excess = (np.abs(state.joint_velocity) - self._joint_speeds[walks]) * self._legs
+        if excess.max() > 0.0:
+            joint = int(excess.argmax())
             limit = self._joint_speeds[walks].item(joint)
-            return f"{self._names[joint]} moves at {limit + beyond.item(joint):.1f} rad/s; expected at most {limit:.1f}"
+            return f"{self._names[joint]} moves at {limit + excess.item(joint):.1f} rad/s; expected at most {limit:.1f}"
         limit = self._outside[walks]
-        if (outside := self._support.dcm_beyond(state, limit)) is None:
+        if (outside := self._support.dcm_outside(state, limit)) is None:
             return ""
         return f"the DCM is {outside:.3f} m outside the support polygon; expected at most {limit:.3f} m"
 

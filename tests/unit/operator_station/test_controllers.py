@@ -58,7 +58,7 @@ class Station:
         next(each for each in self.intake.inputs if each.topic == topic).take(message, 0.0)
 
     def pick(self, name: str) -> None:
-        """In Ann's browser, which then shows it."""
+        """Choose it in Ann's browser, which then shows it."""
         self.ann.set("controller", name)
         self.ann.controls[self.ann.labels["controller"]]["props"]["value"] = name
 
