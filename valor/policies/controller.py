@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from valor.common.behaviors import Locomotion
-from valor.common.errors import ConfigurationError
 from valor.control.controller import Controller, JointCommand, Request
 from valor.control.state import RobotState
 from valor.policies.observations import Senses
@@ -23,18 +22,13 @@ class PolicyController(Controller):
     steps_to_balance = True
 
     def __init__(self, policy: Policy, robot: RobotDescription) -> None:
-        """Raises ConfigurationError: the policy's period is no multiple of the control period."""
+        """Create the controller of a policy, whose contract is one for this robot."""
         contract = policy.contract
         self.name = contract.name
         self._policy, self._zeros = policy, np.zeros(len(robot.joints))
         self.joints = np.zeros(len(robot.joints), dtype=bool)
         self.joints[policy.indices] = True
         self.period = round(contract.period / robot.control_period)
-        if abs(self.period * robot.control_period - contract.period) > 1e-6:
-            raise ConfigurationError(
-                f"policy {contract.name}: its period is {contract.period:g} s; "
-                f"expected a multiple of the control period, {robot.control_period:g} s"
-            )
         self.warm_up = contract.period * max((term.history for term in contract.observation), default=1)
         rates = FASTEST_CHANGE[0], FASTEST_CHANGE[0], FASTEST_CHANGE[1]
         self._change = contract.period * np.array(rates)
@@ -59,7 +53,6 @@ class PolicyController(Controller):
         turn = state.pelvis_rotation_in_odom
         targets = self._policy.act(
             Senses(
-                1e-9 * state.time,
                 state.joint_position,
                 state.joint_velocity,
                 state.pelvis_orientation_in_odom,

@@ -15,7 +15,6 @@ from valor.common.rotation import quaternion, vertical
 class Senses:
     """What a policy may know; vectors over joints are in the order of ``RobotDescription.joints``."""
 
-    time: float  # [s]
     joint_position: FloatArray  # (n,) [rad]
     joint_velocity: FloatArray  # (n,) [rad/s]
     pelvis_orientation: FloatArray  # (4,) w, x, y, z in odom

@@ -26,10 +26,9 @@ def run(policy: Policy, robot: RobotDescription, acts: int = 100) -> Trial:
     random, times, finite, inside = np.random.default_rng(0), [], True, []
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     policy.reset()
-    for i in range(acts):
+    for _ in range(acts):
         attitude = np.append(1.0, random.normal(0.0, 0.1, 3))
         state = Senses(
-            i * policy.contract.period,
             random.uniform(lower, upper),
             random.normal(0.0, 0.1, len(lower)) * np.minimum(robot.velocity_limit, 20.0),
             attitude / np.linalg.norm(attitude),

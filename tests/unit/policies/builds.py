@@ -36,7 +36,7 @@ def senses(random: np.random.Generator, robot: RobotDescription = ESCHER) -> Sen
     n = len(robot.joints)
     attitude = random.normal(size=4)
     return Senses(
-        0.0, random.normal(size=n), random.normal(size=n), attitude / np.linalg.norm(attitude), random.normal(size=3),
+        random.normal(size=n), random.normal(size=n), attitude / np.linalg.norm(attitude), random.normal(size=3),
         random.normal(size=3), random.uniform(-0.3, 0.3, 3),
     )  # fmt: skip
 
