@@ -176,7 +176,7 @@ bench: $(STAMP)
 # docs/experiments: chapter 5 of the thesis on emulated devices, in some half an hour on a computer that does nothing else.
 # Bags, CSV and the report, also of a run in which something failed, are in build/experiments.
 experiments: $(STAMP)
-	$(BIN)/valorctl experiment all --profile hardware --clock realtime --with-clients --out build/experiments
+	$(BIN)/valorctl experiment all --profile experiments --clock realtime --with-clients --out build/experiments
 	rm -f docs/experiments/*
 	cp build/experiments/report/README.md build/experiments/report/*.webp docs/experiments/
 

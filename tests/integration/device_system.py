@@ -101,11 +101,11 @@ class RobotOnDevices:
 
 @contextmanager
 def on_devices(*drivers: str, **settings: Any) -> Iterator[RunningInstance]:
-    """The hardware variant at 250 Hz: the emulators and drivers, then, when these are ready, what needs them."""
+    """The hardware variant at a rate that leaves a busy computer time: the emulators and drivers, then, when these are ready, what needs them."""
     with (
         tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home,
         fresh_instance(
-            Path(home), variant="hardware", control_rate=250.0, epoch=time.monotonic_ns(), **settings
+            Path(home), variant="hardware", control_rate=125.0, epoch=time.monotonic_ns(), **settings
         ) as running,
     ):
         for processes in (("device_emulators", *drivers), ("comms_manager", "motion_manager")):
