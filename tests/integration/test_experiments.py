@@ -56,9 +56,9 @@ def test_experiments_leave_results_and_a_report_gathers_them(system: System, hom
     assert len(samples) == 8
     assert all(samples.values()), samples
     assert samples["Mode change reported"] == 3
-    for pathway in ("mode change", "proprioception", "joint command"):
+    for pathway in ("mode change", "proprioception", "joint command by stamps"):
         assert 0.0 < numbers[f"{pathway}, hardware"] < 2000.0
-    assert numbers["joint command to the first milliradian, hardware"] > numbers["joint command, hardware"]
+    assert numbers["joint command to the first milliradian, hardware"] > numbers["joint command by stamps, hardware"]
     for rate in ("control tick", "motor commands", "joint states"):
         came = float(result["settings"][f"{rate} came at"].split()[0])
         assert came > 10.0 and f"{rate} came at {came:.0f} Hz" in result["text"]

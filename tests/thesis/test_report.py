@@ -133,10 +133,10 @@ def test_an_unreadable_result_or_failure_is_named(tmp_path: Path) -> None:
         Failure.load(tmp_path / FAILURE_FILE)
 
 
-def test_a_report_begins_with_ten_numbers_that_the_experiments_measure() -> None:
-    assert len(SUMMARY) == 10
+def test_a_report_begins_with_numbers_that_the_experiments_measure() -> None:
+    assert len(SUMMARY) == 14
     kept = (REPOSITORY / "docs" / "experiments" / "README.md").read_text()
-    assert [name for name in SUMMARY if kept.count(f"| {name} |") != 2] == []  # in the summary and in its chapter
+    assert [name for name in SUMMARY if kept.count(f"| {name} |") < 2] == []  # in the summary and in its chapter
     measures = [Measure("else", 1.0, "s"), Measure(SUMMARY[1], 73.3, "%", "over 150", "")]
     made = msgspec.structs.replace(result(), measures=measures)
     text = markdown([chapters.Chapter("one", "One", "Table 5.1", Path(), made)])
@@ -148,7 +148,7 @@ def test_what_follows_for_messages_is_computed_and_not_told() -> None:
     measures = [
         Measure("Bifrost, mean", 300.0, "µs", "200"), Measure("ROS 2 (rclpy, Fast DDS), mean", 500.0, "µs", "160"),
         Measure("mode change, hardware", 50.0, "ms", "49"), Measure("proprioception, hardware", 2.5, "ms", "40"),
-        Measure("joint command, hardware", 2.0, "ms"),
+        Measure("joint command by stamps, hardware", 2.0, "ms"),
     ]  # fmt: skip
     text = conclusion([msgspec.structs.replace(result(), measures=measures)])
     for words in ("200 and 250 times less", "5.0 and 8.3 times less than the shortest (proprioception, hardware)",

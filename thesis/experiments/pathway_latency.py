@@ -146,7 +146,7 @@ def _measures(profile: str, latencies: Latencies, runs: Sequence[Latencies]) -> 
         note = f"by stamps; {1e3 * pathway.median:.1f} by medians; {_WHY[pathway.name]}"
         name, thesis = pathway.name, _THESIS[pathway.name]
         if name == JOINT_COMMAND:
-            thesis = ""
+            name, thesis = f"{name} by stamps", ""
         made.append(Measure(f"{name}, {profile}", _ms(pathway.mean), "ms", thesis,
                             f"{note}; {_each([one.pathways[i].mean for one in runs])}"))  # fmt: skip
     i, pathway = next((i, each) for i, each in enumerate(latencies.pathways) if each.name == JOINT_COMMAND)

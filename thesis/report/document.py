@@ -15,13 +15,17 @@ SUMMARY = (
     "Bifrost, mean",
     "ROS 2 (rclpy, Fast DDS), mean",
     "mode change, hardware",
-    "joint command, hardware",
+    "proprioception, hardware",
+    "joint command by stamps, hardware",
+    "joint command by correlation, hardware",
+    "joint command to the first milliradian, hardware",
     "arm joint at rest from its goal, largest",
     "by the floating base, largest at a pose",
     "by the floating base where the CoM goes with the arm, largest at a pose",
     "real arms: from the goal at rest, largest",
+    "real arms: share of the base in it",
 )
-"""Names of the ten measures at the beginning of the report."""
+"""Names of the measures at the beginning of the report."""
 MESSAGES = ("Bifrost", "ROS 2 (rclpy, Fast DDS)")
 PATHWAYS = ("mode change", "proprioception")  # the thesis' number of the joint command is by another method
 TITLE = "Chapter 5, measured again"
