@@ -44,6 +44,8 @@ class _Controller(CanUnit):
         self.identity = Identity(table.serial, table.firmware)
         self.rows = range(first, first + len(table.axes))
         self.jumps = 0  # consecutive implausible positions
+        self.suspects: list[int] = []  # rows with an implausible position in the latest state
+        self.spoke: int | None = None  # its clock in the latest state, plausible or not [µs]
         self.jumped: list[int] = []  # rows whose encoder has jumped
         self.status = 0
         self.clock: int | None = None  # [µs], of its latest state
@@ -118,13 +120,20 @@ class SeriesElastic(CanDevice):
         _, status, _, *axes = can_frames.CONTROLLER_STATE.unpack_from(data)
         now = time.monotonic_ns()
         # By its own clock since the last plausible state: a stalled computer does not make jumps plausible.
-        elapsed = math.inf if unit.clock is None else 1e-6 * ((int(axes[11]) - unit.clock) & 0xFFFFFFFF)
-        encoder, raw = self._encoder, self._raw
+        elapsed, since = (
+            math.inf if clock is None else 1e-6 * ((int(axes[11]) - clock) & 0xFFFFFFFF)
+            for clock in (unit.clock, unit.spoke)
+        )
+        unit.spoke = int(axes[11])
+        encoder, raw, most = self._encoder, self._raw, self._step_limit
+        # What stays where it jumped has jumped, even if with time a motion might have led there. NaN counts as a jump.
         jumped = [
             row
             for k, row in enumerate(unit.rows)
-            if not abs(axes[4 * k] - encoder[row]) <= self._step_limit[row] * elapsed + JUMP_MARGIN
-        ]  # NaN counts as a jump
+            if not abs(axes[4 * k] - encoder[row]) <= most[row] * elapsed + JUMP_MARGIN
+            or (row in unit.suspects and abs(axes[4 * k] - raw[row]) <= most[row] * since + JUMP_MARGIN)
+        ]
+        unit.suspects = jumped
         for k, row in enumerate(unit.rows):
             raw[row] = axes[4 * k]
         fresh = [row for row in jumped if row not in unit.jumped]
