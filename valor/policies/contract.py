@@ -98,7 +98,10 @@ def load(file: Path, robot: RobotDescription) -> Contract:
 def _read(model: ModelFile, found: tuple[Path, str] | None) -> Reading:
     if found is not None:
         return exported.read(*found)
-    return metadata.read(model.metadata) or Reading("none; the sidecar states all")
+    reading = metadata.read(model.metadata) or Reading("none; the sidecar states all")
+    if (stated := model.metadata.get("valor")) is not None:
+        reading.embed(stated)
+    return reading
 
 
 class _Assembly:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -11,7 +12,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta
 
 from valor.common.errors import ConfigurationError
-from valor.common.table import Positive, Table, plain, read
+from valor.common.table import Positive, Table, checked, plain, read
 
 PerJoint = float | list[float] | dict[str, float]
 Range = tuple[float, float]
@@ -145,14 +146,22 @@ class Reading:
 
     def apply(self, sidecar: Path) -> None:
         """Replace facts by those of a sidecar, if it exists. Raises ConfigurationError: a line for each wrong key."""
-        if not sidecar.is_file():
-            return
-        stated = read(Sidecar, sidecar)
+        if sidecar.is_file():
+            self._replace(read(Sidecar, sidecar), Source.USER, sidecar.name)
+
+    def embed(self, text: str) -> None:
+        """Replace facts by those of a sidecar in the file's metadata, as JSON."""
+        try:
+            self._replace(checked(Sidecar, json.loads(text)), Source.FILE, "metadata valor")
+        except ValueError as error:  # also TableError
+            self.reject("metadata valor", error, "facts as in a sidecar, as JSON")
+
+    def _replace(self, stated: Sidecar, source: Source, where: str) -> None:
         for name in Sidecar.__struct_fields__:
             value: Any = getattr(stated, name)
             if name == "observation" and value is not None:
                 value = tuple(TermFact(term=each, name=each) if isinstance(each, str) else each for each in value)
-            self.state(name, plain(value) if isinstance(value, Table) else value, Source.USER, sidecar.name)
+            self.state(name, plain(value) if isinstance(value, Table) else value, source, where)
             if value is not None:
                 self.problems = [each for each in self.problems if _fact(each[0]) != name]
 

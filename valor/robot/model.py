@@ -115,11 +115,16 @@ def controller_model(robot: RobotDescription) -> Model:
     for geom in list(spec.geoms):
         if geom.parent.name not in apart:
             spec.delete(geom)
+    weld_others(spec, robot)
+    return Model(robot, compiled(robot, spec))
+
+
+def weld_others(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
+    """Weld the joints that do not balance, of fingers and sensors, as in the nominal posture."""
     moved = {name for group in WHOLE_BODY_GROUPS for name in robot.tables.group(group)}
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.name not in moved:
             _weld(spec, joint, robot.tables.nominal_posture.get(joint.name, 0.0))
-    return Model(robot, compiled(robot, spec))
 
 
 def full_model(robot: RobotDescription, shapes: Shapes = "none") -> Model:

@@ -15,8 +15,8 @@ import pytest
 
 from harness.onnx_file import BIAS, affine
 from harness.places import REPOSITORY
+from harness.strangers import ROBOTS, facts, stranger
 from tests.unit.policies.builds import ESCHER, robot_with, senses, weights, write
-from tests.unit.policies.strangers import ROBOTS, facts, stranger
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError
 from valor.common.rotation import quaternion, vertical

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.policies.strangers import ROBOTS, policy_of
+from harness.strangers import ROBOTS, policy_of
 from valor.common.behaviors import Behavior
 from valor.motion_manager.controllers import policy_controller
 from valor.robot.description import RobotDescription

@@ -140,6 +140,18 @@ def check(
         raise ValorError(f"{named}: {len(failed)} of {len(results)} tests failed: {', '.join(failed)}")
 
 
+@policy.command()
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new one.")], *, robot: Robot = "escher"
+) -> None:
+    """Write a package by which mjlab trains a policy that walks a robot; training needs a GPU and mjlab."""
+    from valor.policies import training
+
+    folder = folder.expanduser()
+    task = training.export(_described(robot), folder)
+    say(f"{folder}: written. Next, where mjlab is to train:\n  pip install -e {folder}\n  train {task}")
+
+
 def _described(robot: str) -> RobotDescription:
     from valor.robot.description import RobotDescription
 

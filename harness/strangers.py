@@ -1,14 +1,26 @@
-"""Robots and policies of holosoma, with what their files do not state."""
+"""Robots and policies of others, with what their files do not state.
+
+Those of holosoma come with its packages; policies of mujoco_playground are in ``tests/data``, and the robots that they
+were trained for in a large package, which ``make robots`` installs.
+"""
 
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+
+from harness.places import REPOSITORY
+from valor.robot.motion_tables import WHOLE_BODY
+from valor.robot_setup.new import new_robot
+
+PLAYGROUND = "playground"
+_PLAYGROUND = REPOSITORY / "tests" / "data" / "mujoco_playground"
 
 
 def package(name: str) -> Path:
@@ -61,11 +73,28 @@ def facts(robot: str) -> dict[str, Any]:
 
 
 def policy_of(robot: str, kind: str, folder: Path, **changes: Any) -> Path:
-    """A walking policy of a kind (ppo, fastsac), with its sidecar, in a folder."""
+    """A walking policy of a kind (ppo, fastsac, playground), with its sidecar, in a folder."""
     file = folder / f"{kind}.onnx"
+    if kind == PLAYGROUND:
+        file.symlink_to(_PLAYGROUND / f"{robot}.onnx")
+        own = yaml.safe_load((_PLAYGROUND / f"{robot}.yaml").read_text())
+        file.with_suffix(".yaml").write_text(yaml.safe_dump(own | changes))
+        return file
     file.symlink_to(next((package("holosoma_inference") / "models").rglob(f"{kind}_{robot}_29dof.onnx")))
     file.with_suffix(".yaml").write_text(yaml.safe_dump(facts(robot) | changes))
     return file
+
+
+def folder_of(robot: str, model: Path, folder: Path, kinds: Sequence[str]) -> Path:
+    """Make a folder of a robot's model, nothing edited but the controllers that it may have: policies by kind."""
+    new_robot(model, folder, robot)
+    (folder / "policies").mkdir()
+    for kind in kinds:
+        policy_of(robot, kind, folder / "policies")
+    names = ", ".join((WHOLE_BODY, *kinds))
+    with (folder / "robot.yaml").open("a") as opened:
+        opened.write(f"\ncontrollers: {{ stand: [{names}], walk: [{names}] }}\n")
+    return folder
 
 
 def stranger(name: str, folder: Path) -> Path:
