@@ -101,7 +101,7 @@ class RobotOnDevices:
 
 @contextmanager
 def on_devices(*drivers: str, **settings: Any) -> Iterator[RunningInstance]:
-    """The hardware variant, slowly, for a busy computer: emulators and drivers, then, when ready, what needs them."""
+    """The hardware variant at a rate that leaves a busy computer time: emulators and drivers, then what needs them."""
     with (
         tempfile.TemporaryDirectory(prefix="valor-", ignore_cleanup_errors=True) as home,
         fresh_instance(
