@@ -47,7 +47,7 @@ def test_it_takes_over(installed: str) -> None:
 
 
 def test_a_name_that_nothing_has_is_rejected(tmp_path: Path) -> None:
-    words = "no controller 'statue'; expected whole_body, an installed one"
+    words = "no controller 'statue'; expected whole_body, remote, an installed one"
     with pytest.raises(ConfigurationError, match=words):
         controller_factories(load_robot(controllers={"stand": [WHOLE_BODY, "statue"]}))
     folder = tmp_path / "escher"

@@ -80,6 +80,9 @@ class Controller(ABC):
         """Reason why it cannot start from a state; empty if it can."""
         return ""
 
+    def chosen(self) -> None:  # noqa: B027 (most do not depend on it)
+        """A client has chosen it; precedes ``refusal`` and ``begin``."""
+
     @abstractmethod
     def begin(self, state: RobotState, last: JointCommand | None) -> None:
         """Start from a state; ``last`` is the command in force, None if servos held the joints."""

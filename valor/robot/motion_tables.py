@@ -10,6 +10,8 @@ from valor.robot.size import Force, Length, Rate, Sole, Speed, SquaredRate, Time
 
 WHOLE_BODY = "whole_body"
 """Name of the Whole-Body Controller, which every robot has."""
+REMOTE = "remote"
+"""Name of the controller that executes joint commands from outside the Motion Manager."""
 
 
 class Footsteps(Table):

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from valor.common.errors import ValorError
-from valor.motion_manager.controllers import policy_controller
+from valor.policies.factories import policy_controller
 from valor.robot.description import RobotDescription
 from valor.self_test.acceptance import SelfTest
 from valor.self_test.controller_test import ControllerTest

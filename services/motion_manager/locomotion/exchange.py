@@ -108,14 +108,17 @@ class ControllerExchange:
 
     def choose(self, name: str, state: RobotState | None) -> str:
         """Choose a controller for all states that may have it; returns the reason of a rejection, or an empty text."""
-        states = [each for each, names in self.allowed.items() if name in names and each in self._named(name).states]
+        states = [each for each, names in self.allowed.items() if name in names and each in self.named(name).states]
         if name not in self.names or not states:
             lists = "; ".join(f"{each}: {', '.join(names)}" for each, names in self.allowed.items())
             return f"no controller {name[:64]!r} for this robot; expected of its robot.yaml, controllers: {lists}"
         if self.failed:
             return f"the robot is brought to rest: {self.failed}"
-        if name != WHOLE_BODY and state is not None and (refusal := self._others[name].controller.refusal(state)):
-            return refusal
+        if name != WHOLE_BODY:
+            controller = self._others[name].controller
+            controller.chosen()
+            if state is not None and (refusal := controller.refusal(state)):
+                return refusal
         self.chosen |= dict.fromkeys(states, name)
         self.changes += 1
         return ""
@@ -174,12 +177,13 @@ class ControllerExchange:
         fault, self.failed = self.failed, ""
         return fault
 
-    def _named(self, name: str) -> Controller:
+    def named(self, name: str) -> Controller:
+        """Return a controller by its name; the Whole-Body Controller if there is none."""
         return self._others[name].controller if name in self._others else self._whole_body
 
     def _wanted(self, locomotion: Locomotion) -> str:
         """Name of the controller that is to serve a state; plans of footsteps go to who takes them."""
-        if locomotion is Locomotion.STEP and self._named(self.chosen[Locomotion.WALK]).takes_footsteps:
+        if locomotion is Locomotion.STEP and self.named(self.chosen[Locomotion.WALK]).takes_footsteps:
             return self.chosen[Locomotion.WALK]
         return self.chosen.get(locomotion, WHOLE_BODY)
 

@@ -78,7 +78,8 @@ class Supervised:
         self._ticks += 1
         self.fault = self.fault or self._outside_domain(state, request)
         if not self.fault and self._mute > MUTE:
-            self.fault = f"no command for {self._mute:.3f} s; expected one within {MUTE} s"
+            why = self.controller.refusal(state)
+            self.fault = f"no command for {self._mute:.3f} s; expected one within {MUTE} s{why and f': {why}'}"
         self.sound = 0.0 if self.fault or self.command is None or self._complaints > before else self.sound + dt
         return None if self.fault else self.command
 

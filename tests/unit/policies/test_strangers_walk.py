@@ -9,7 +9,7 @@ import pytest
 
 from harness.strangers import ROBOTS, policy_of
 from valor.common.behaviors import Behavior
-from valor.motion_manager.controllers import policy_controller
+from valor.policies.factories import policy_controller
 from valor.robot.description import RobotDescription
 from valor.robot_setup.new import new_robot
 from valor.self_test.controller_test import ControllerTest

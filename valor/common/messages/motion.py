@@ -111,6 +111,23 @@ class JointSetpoints(Message):
     acceleration: Float64Array  # [rad/s²]
 
 
+class JointCommands(Message):
+    """Commands for the controller ``remote``: what ros2_control's command interfaces hold.
+
+    A servo applies effort + stiffness·(position − q) + damping·(velocity − q̇) [N·m].
+    """
+
+    time: int  # of the Proprioceptor that it is computed from
+    period: float  # of the sender, up to 0.02 [s]; a command that is older than three of them is rejected
+    names: list[str]  # (k,) at least the joints of legs and torso; others follow their targets
+    position: Float64Array  # (k,) [rad]
+    velocity: Float64Array  # (k,) [rad/s]
+    effort: Float64Array  # (k,) [N·m]
+    stiffness: Float64Array  # (k,) [N·m/rad]
+    damping: Float64Array  # (k,) [N·m·s/rad]
+    computed_in: float = 0.0  # duration of the computation, for analysis [s]
+
+
 class VelocityCommand(Message):
     """Walking velocity of the robot centre in heading axes; expires after ``walking.command_timeout`` (0.5 s)."""
 

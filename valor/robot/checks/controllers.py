@@ -6,7 +6,7 @@ from pathlib import Path
 
 from valor.common.table import TableError
 from valor.robot.description import RobotDescription
-from valor.robot.motion_tables import WHOLE_BODY
+from valor.robot.motion_tables import REMOTE, WHOLE_BODY
 
 GROUP = "valor.controllers"
 """Entry points of installed packages: a name, and a ``ControllerFactory``."""
@@ -29,13 +29,20 @@ def others(robot: RobotDescription) -> list[str]:
 
 
 def controllers_exist(robot: RobotDescription) -> Iterator[TableError]:
-    """Check that every controller in robot.yaml is a policy of the robot or of an installed package."""
+    """Check that each controller in robot.yaml is built in, installed or a policy, and that a client chooses remote."""
+    for state, names in robot.tables.controllers.names().items():
+        if names[0] == REMOTE:
+            yield TableError(
+                ("controllers", state),
+                f"{REMOTE} is the first, which is used without a request; expected another, as {WHOLE_BODY}, before it",
+            )
     known = installed()
     for name in others(robot):
-        if name not in known and not policy_file(robot, name).is_file():
+        if name != REMOTE and name not in known and not policy_file(robot, name).is_file():
             there = sorted(each.stem for each in policy_file(robot, name).parent.glob("*.onnx"))
             yield TableError(
                 ("controllers",),
-                f"no controller {name!r}; expected {WHOLE_BODY}, an installed one ({', '.join(known) or 'none is'}), "
-                f"or a policy of the robot ({', '.join(there) or 'it has none'}); `valorctl policy add FILE` adds one",
+                f"no controller {name!r}; expected {WHOLE_BODY}, {REMOTE}, an installed one "
+                f"({', '.join(known) or 'none is'}), or a policy of the robot ({', '.join(there) or 'it has none'}); "
+                "`valorctl policy add FILE` adds one",
             )
