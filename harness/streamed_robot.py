@@ -12,8 +12,9 @@ from valor.common.arrays import FloatArray
 from valor.common.messages import JointSetpoints
 from valor.motion_manager.handlers.joint_setpoints import JointSetpointsHandler
 from valor.robot.description import RobotDescription
-from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.configuration import TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.table import ControllersTable
 from valor.valor_ros_controller.controllers.trajectory_goal import TrajectoryGoal, TrajectoryRequest
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.waypoints import Point
@@ -35,7 +36,7 @@ class StreamedRobot(ManipulatingRobot):
         self.hw = ValorEscherHWInterface(robot)
         self._read()
         name = f"{limb}_traj_controller"
-        config = ControllersTable.load().joint_controllers[name]
+        config = ControllersTable.load().of_type(TrajectoryControllerConfig)[name]
         self.controller = JointTrajectoryController(name, config, self.hw, ["stand_manipulate"])
         self.names = self.controller.limits.names
         self._handler = JointSetpointsHandler(self.manager.components)

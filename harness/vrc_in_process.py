@@ -35,7 +35,7 @@ from valor.robot.limiter import Limiter
 from valor.robot.model import controller_model
 from valor.valor_ros_controller.behavior_transition import BehaviorAnswer
 from valor.valor_ros_controller.control_modes import ControlModeTable, ModeReport
-from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.table import ControllersTable
 from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.realtime_buffer import RealTimeBuffer
 

@@ -6,22 +6,51 @@ and the robot manager.
 
 import logging
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
+from typing import Any, ClassVar, Self
 
 from valor.common.errors import ConfigurationError
-from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
+from valor.robot.description import RobotDescription
+from valor.robot.kinematic_tree import KinematicTree
+from valor.valor_ros_controller.control_modes import ControlModeTable
+from valor.valor_ros_controller.controllers.configuration import ControllerConfig
+from valor.valor_ros_controller.valor_escher_hw_interface import PELVIS, ValorEscherHWInterface
 
 _log = logging.getLogger("controller_manager")
+
+
+@dataclass(frozen=True)
+class Resources:
+    """Parts of the VRC that controllers are made with."""
+
+    hw: ValorEscherHWInterface
+    modes: ControlModeTable
+    tree: KinematicTree | None = None  # of the robot
 
 
 class Controller:
     """Controller run by a manager."""
 
+    config: ClassVar[type[ControllerConfig]] = ControllerConfig  # of its entry in controllers.yaml
     name: str  # unique among all controllers
     type: str  # in the form of a ros2_control plug-in
     active = False  # selected by the control mode
     obstacle = ""  # reason that it can never be active
+
+    @classmethod
+    def fits(cls, config: Any, robot: RobotDescription) -> bool:
+        """Whether a robot has the controller of an entry of controllers.yaml."""
+        groups = config.groups
+        return not groups or any(group == PELVIS or robot.tables.group(group) for group in groups)
+
+    @classmethod
+    def make(cls, name: str, config: Any, resources: Resources) -> Self:
+        """Create the controller of an entry of controllers.yaml."""
+        made = cls()
+        made.name = name
+        return made
 
     def start(self, hw: ValorEscherHWInterface) -> None:
         self.active = True

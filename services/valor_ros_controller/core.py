@@ -7,18 +7,21 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import TypeVar
 
 import bifrost
 from valor.common.behaviors import NOTHING_TO_LEAD, ControlMode
 from valor.robot.description import RobotDescription
 from valor.robot.kinematic_tree import KinematicTree
+from valor.valor_ros_controller.control_modes import FILE as MODES
 from valor.valor_ros_controller.control_modes import ControlModeTable
-from valor.valor_ros_controller.controller_manager import Controller, ControllerManager, ControllerSwitch
-from valor.valor_ros_controller.controllers.configuration import ControllersTable, TrackingControllerConfig
+from valor.valor_ros_controller.controller_manager import ControllerManager, ControllerSwitch, Resources
+from valor.valor_ros_controller.controllers import table as controllers
 from valor.valor_ros_controller.controllers.control_mode_controller import ControlModeController
-from valor.valor_ros_controller.controllers.gravity_offset import GravityOffset
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.table import ControllersTable, make_controllers
+from valor.valor_ros_controller.controllers.tracking import TrackingController
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 from valor.valor_ros_controller.valor_escher_interface import BehaviorCommander, ValorEscherInterface
 
@@ -59,28 +62,22 @@ class Core:
             ConfigurationError: a table is invalid.
             JointClaimError: two controllers of one mode write the same joint.
         """
-        everything = ControllersTable.load()
+        everything = ControllersTable.load(_of_robot(robot, controllers.FILE))
         self.table = table = everything.of(robot)
         lacking = "" if table.manipulate else NOTHING_TO_LEAD
-        self.modes = modes = ControlModeTable.load().without(everything.names - table.names, lacking)
+        self.modes = modes = ControlModeTable.load(_of_robot(robot, MODES)).without(
+            everything.all.keys() - table.all.keys(), lacking
+        )
         self.hw = hw = ValorEscherHWInterface(robot)
         self.interface = ValorEscherInterface(node, commander, hw, decimation, silence_timeout, clock=clock)
         self.mode_controller = ControlModeController(modes, self.interface, rejection)
-        self.trajectories = {
-            name: JointTrajectoryController(name, config, hw, modes.running(name))
-            for name, config in (table.joint_controllers | table.robot_controllers).items()
-        }
-        self.tracking = {
-            name: TrackingController(name, config, hw) for name, config in table.tracking_controllers.items()
-        }
+        resources = Resources(hw, modes, tree)
         self._modes = ControllerManager("mode", [self.mode_controller])
-        self.joints = ControllerManager(
-            "joint", [*(self.trajectories[name] for name in table.joint_controllers), *self.tracking.values()]
-        )
-        offsets = [GravityOffset(name, config, hw, tree) for name, config in table.offset_controllers.items()]
-        self.robots = ControllerManager(
-            "robot", [FootstepController(), *(self.trajectories[name] for name in table.robot_controllers), *offsets]
-        )
+        self.joints = ControllerManager("joint", make_controllers(table.joint_controllers, resources))
+        self.robots = ControllerManager("robot", make_controllers(table.robot_controllers, resources))
+        made = [*self.joints.controllers.values(), *self.robots.controllers.values()]
+        self.trajectories = {each.name: each for each in made if isinstance(each, JointTrajectoryController)}
+        self.tracking = {each.name: each for each in made if isinstance(each, TrackingController)}
         self.switch = ControllerSwitch((self._modes, self.joints, self.robots), hw)
         self.queue = UpdateQueue()  # calls into the update thread
         self.began = 0.0  # start of the latest cycle, after its data were received [``time.perf_counter()``, s]
@@ -155,6 +152,12 @@ class Core:
         self.interface.close()
 
 
+def _of_robot(robot: RobotDescription, file: Path) -> Path:
+    """The robot's own table, a file of the same name in its folder, if there is one."""
+    own = robot.folder / file.name
+    return own if own.is_file() else file
+
+
 T = TypeVar("T")
 
 CALL_TIMEOUT = 2.0  # the update loop runs every few milliseconds, also while the robot is silent [s]
@@ -191,22 +194,3 @@ class UpdateQueue:
         """Run waiting calls. Update thread."""
         while self._calls:
             self._calls.popleft()()
-
-
-class TrackingController(Controller):
-    """Reports position and set-point of a limb that the Motion System controls; rejects all goals."""
-
-    type = "valor_ros_controller/TrackingController"
-
-    def __init__(self, name: str, config: TrackingControllerConfig, hw: ValorEscherHWInterface) -> None:
-        self.name = name
-        self.joints = hw.group_indices(config.groups)  # (n,) indices of its joints in the hardware interface's vectors
-        self.limits = hw.limits(self.joints)
-        self.rejection = f"{name} accepts no goals: {config.goals}"  # of every goal
-
-
-class FootstepController(Controller):
-    """Stands for the Footstep Converter in the modes in which footstep plans are accepted."""
-
-    name = "footstep_controller"
-    type = "valor_ros_controller/FootstepController"

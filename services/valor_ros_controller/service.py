@@ -19,7 +19,11 @@ from valor.robot.kinematic_tree import KinematicTree
 from valor.ros.parameters import Parameters, Range
 from valor.ros.transforms import ODOM
 from valor.service import Context, quiet_collector
-from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
+from valor.valor_ros_controller.controllers.configuration import (
+    Settings,
+    TrackingControllerConfig,
+    TrajectoryControllerConfig,
+)
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
 from valor.valor_ros_controller.core import Core
 from valor.valor_ros_controller.ros.balance_controllers import BalanceControllers
@@ -150,7 +154,7 @@ class ValorRosController:
     def _open_controllers(self) -> list[ControllerStatePublisher]:
         """Open parameters, actions and topics of the trajectory and tracking controllers."""
         node, core, table, rejection = self._ros.node, self._core, self._core.table, self._context.settings.ros_refusal
-        configs = table.joint_controllers | table.robot_controllers
+        configs, followed = table.of_type(TrajectoryControllerConfig), table.of_type(TrackingControllerConfig)
         states = []
         for name, controller in core.trajectories.items():
             _declare_settings(self._parameters, controller, configs[name])
@@ -160,7 +164,7 @@ class ValorRosController:
             states.append(self._open_state(name, controller, configs[name].state_publish_rate))
         for name, follower in core.tracking.items():
             serve_tracking(node, table.bases(name), follower)
-            states.append(self._open_state(name, follower, table.tracking_controllers[name].state_publish_rate))
+            states.append(self._open_state(name, follower, followed[name].state_publish_rate))
         return states
 
     def _open_state(self, name: str, controller: Limb, default: float) -> ControllerStatePublisher:

@@ -1,13 +1,19 @@
 """Valor Escher HW Interface (VEHWI): the robot's state and the controllers' commands (thesis section 3.5)."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.messages import BatteryStatus, MotionState, Proprioceptor
+from valor.common.messages import BatteryStatus, ControllerStatus, MotionState, Proprioceptor
 from valor.robot.commanded_limits import CommandedLimits, Indices
 from valor.robot.description import RobotDescription
+
+if TYPE_CHECKING:
+    from valor.control.controller import JointCommand
 
 PELVIS = "pelvis"  # group of the pelvis' six joints
 HAND_GOAL = "hand_goal"  # controller of an arm in MotionState
@@ -44,6 +50,10 @@ class ValorEscherHWInterface:
         self.position: FloatArray = np.zeros(n)
         self.velocity: FloatArray = np.zeros(n)
         self.battery: BatteryStatus | None = None  # latest BatteryStatus
+        self.balance_controllers: ControllerStatus | None = None  # the Motion Manager's, latest status
+        self.estimate_needed = False  # whether a cycle waits for the MotionState of its measurement
+        # Of a balance controller in this cycle: joints, command, and duration of the computation [s].
+        self.joint_command: tuple[Indices, JointCommand, float] | None = None
         self.frozen: tuple[str, ...] = ()  # limbs that the Motion System has frozen
         self.commanded: FloatArray = np.zeros(n)  # (n,) current set-points of the Motion System [rad or m]
         self.command = np.zeros((3, n))

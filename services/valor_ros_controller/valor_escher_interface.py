@@ -19,6 +19,7 @@ from valor.common.messages import (
     BehaviorRequest,
     ControllerCycle,
     ControlModeReport,
+    JointCommands,
     JointSetpoints,
     MotionState,
     PelvisSetpoint,
@@ -34,6 +35,7 @@ _log = logging.getLogger("valor_escher_interface")
 
 LATE = 1  # periods that a cycle may be late without being counted
 STRANGE = 100_000  # gap from which on robot time is assumed to have changed [periods]
+ESTIMATE_TIMEOUT = 0.01  # of the MotionState of a measurement [s]
 REPORT_PERIOD = 0.1
 """Period of the control mode's report on Bifrost, in addition to changes [s]."""
 
@@ -80,9 +82,11 @@ class ValorEscherInterface:
         }
         self._robot_clock = topics.CLOCK.subscriber(node)
         self._frozen = topics.FROZEN.subscriber(node)
+        self._controllers = topics.CONTROLLERS.subscriber(node)
         self._batteries = topics.BATTERIES.subscriber(node)
         self._setpoints = topics.JOINT_SETPOINTS.publisher(node)
         self._pelvis = topics.PELVIS.publisher(node)
+        self._joint_commands = topics.JOINT_COMMANDS.publisher(node)
         self._cycle = topics.CYCLE.publisher(node)
         self._control_mode = topics.CONTROL_MODE.publisher(node)
         self._commander = commander(self.wake)
@@ -129,7 +133,17 @@ class ValorEscherInterface:
             self._proprioceptor_at = self._clock()
             self._received_sequence = received.message.sequence
             if (due := self._take(received.message)) or self.in_transition:
+                if due and self._hw.estimate_needed:
+                    self._await_estimate()
                 return due
+
+    def _await_estimate(self) -> None:
+        """Wait for the MotionState of the measurement."""
+        end = self._clock() + ESTIMATE_TIMEOUT
+        while self._hw.motion is None or self._hw.motion.time < self._hw.time:
+            if (received := self._motion_state.receive(end - self._clock())) is None:
+                return
+            self._store_motion(received)
 
     @property
     def in_transition(self) -> bool:
@@ -165,19 +179,12 @@ class ValorEscherInterface:
         clock = self._robot_clock.latest()
         if clock is not None and clock.message.mode == topics.PAUSED and not self.silent:
             self._proprioceptor_at = self._motion_at = now  # no process is silent while simulated time is paused
-        if (received := self._motion_state.latest()) is not None:
-            motion = received.message
-            vectors = (motion.joint_setpoint, motion.pelvis_setpoint, motion.pelvis_in_support)
-            sizes = [len(vector) for vector in vectors]
-            if sizes == [self._n, 6, 6] and isfinite(sum(vector @ vector for vector in vectors)):
-                self._motion_at = now
-                self.motion_state = received
-                self._hw.store_motion(motion)
-                self.behavior, self.behavior_reason = motion.behavior, motion.reason
-            else:
-                self._reject(
-                    f"{topics.MOTION_STATE.name}: expected {self._n} finite numbers in joint_setpoint, 6 of the pelvis"
-                )
+        motion, hw = self._hw.motion, self._hw
+        kept = hw.estimate_needed and motion is not None and motion.time == hw.time  # a later one would not fit
+        if not kept and (received := self._motion_state.latest()) is not None:
+            self._store_motion(received)
+        if (controllers := self._controllers.latest()) is not None:
+            self._hw.balance_controllers = controllers.message
         if (frozen := self._frozen.latest()) is not None:
             self._hw.frozen = tuple(frozen.message.limbs)
         if (battery := self._batteries.latest()) is not None:
@@ -186,6 +193,19 @@ class ValorEscherInterface:
         if now - self._motion_at > self._timeout:
             self.behavior = ""
         self._proceed(now)
+
+    def _store_motion(self, received: bifrost.Received[MotionState]) -> None:
+        motion = received.message
+        vectors = (motion.joint_setpoint, motion.pelvis_setpoint, motion.pelvis_in_support)
+        if [len(vector) for vector in vectors] != [self._n, 6, 6] or not isfinite(sum(v @ v for v in vectors)):
+            self._reject(
+                f"{topics.MOTION_STATE.name}: expected {self._n} finite numbers in joint_setpoint, 6 of the pelvis"
+            )
+            return
+        self._motion_at = self._clock()
+        self.motion_state = received
+        self._hw.store_motion(motion)
+        self.behavior, self.behavior_reason = motion.behavior, motion.reason
 
     def _silent_process(self, now: float) -> str:
         """Name of the process that stopped; the other one may be silent as a consequence."""
@@ -223,7 +243,22 @@ class ValorEscherInterface:
                 self._commander.request(*command)
 
     def write(self) -> None:
+        """Send the cycle's commands."""
         hw = self._hw
+        if hw.joint_command is not None:
+            (joints, command, seconds), hw.joint_command = hw.joint_command, None
+            message = JointCommands(
+                time=hw.time,
+                period=self._decimation * hw.robot.control_period,
+                names=[hw.names[joint] for joint in joints],
+                position=command.position[joints],
+                velocity=command.velocity[joints],
+                effort=command.effort[joints],
+                stiffness=command.stiffness[joints],
+                damping=command.damping[joints],
+                computed_in=seconds,
+            )
+            self._joint_commands.publish(message)
         if hw.written is not self._written:
             self._written = hw.written
             self._split = int(np.searchsorted(hw.written, self._n))

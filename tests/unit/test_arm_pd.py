@@ -12,8 +12,8 @@ from valor.common.behaviors import Behavior
 from valor.robot.kinematic_tree import KinematicTree
 from valor.robot.model import full_model
 from valor.valor_ros_controller.controller_manager import Controller, ControllerManager, ControllerSwitch
-from valor.valor_ros_controller.controllers.configuration import ControllersTable
 from valor.valor_ros_controller.controllers.gravity_offset import GravityOffset, Weights
+from valor.valor_ros_controller.controllers.table import ControllersTable
 from valor.valor_ros_controller.trajectory.waypoints import Point
 
 FORWARD = (-0.9, 0.1, 0.0, 0.9, 0.0, 0.0, 0.0)  # preset of the left arm [rad]
@@ -40,7 +40,7 @@ class OffsetRobot(StreamedRobot):
 
 
 def gravity_offset(robot: StreamedRobot) -> GravityOffset:
-    config = ControllersTable.load().offset_controllers["gravity_offset"]
+    config = ControllersTable.load().robot_controllers["gravity_offset"]
     return GravityOffset("gravity_offset", config, robot.hw, KinematicTree.load(robot.robot))
 
 
@@ -128,7 +128,7 @@ def test_an_optional_controller_is_off_until_a_client_asks_and_then_stays(robot:
         assert manager.active == ("always", "gravity_offset")
     manager.enter("freeze", ["always"], hw, "")
     assert manager.active == ("always",) and not switch.switch(["gravity_offset"], [], 2)[0]
-    compensated = GravityOffset("g", ControllersTable.load().offset_controllers["gravity_offset"], hw, None)
+    compensated = GravityOffset("g", ControllersTable.load().robot_controllers["gravity_offset"], hw, None)
     assert "expected arm_control: pd" in compensated.obstacle
 
 

@@ -12,8 +12,9 @@ from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Limiter
-from valor.valor_ros_controller.controllers.configuration import ControllersTable, Settings
+from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.table import ControllersTable
 from valor.valor_ros_controller.controllers.trajectory_goal import TrajectoryOutcome, TrajectoryRequest
 from valor.valor_ros_controller.trajectory.admission import begin, check_waypoints
 from valor.valor_ros_controller.trajectory.execution import Trajectory
@@ -22,8 +23,7 @@ from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWIn
 
 ARM = "right_arm_traj_controller"
 INTERFACES = {name: ValorEscherHWInterface(RobotDescription.load(ROBOTS / name)) for name in ("escher", "thor")}
-TABLE = ControllersTable.load()
-CONFIGS = TABLE.joint_controllers | TABLE.robot_controllers
+CONFIGS = ControllersTable.load().of_type(TrajectoryControllerConfig)
 CONTROLLERS = [
     (robot, name) for robot in INTERFACES for name in CONFIGS
     if not name.startswith("right") and (robot, name) != ("thor", "left_hand_traj_controller")

@@ -102,7 +102,7 @@ def test_controllers_are_made_of_joints_that_there_are(robot: RobotDescription) 
     named |= made.tracking
     assert all(controller.joints.size for controller in named.values())
     groups = {group for group, joints in robot.tables.groups.items() if joints and f"{group}_traj_controller" in
-              core(ESCHER).table.names}  # fmt: skip
+              core(ESCHER).table.all}  # fmt: skip
     assert set(named) == {f"{group}_traj_controller" for group in groups} | {"pelvis_traj_controller"}
     for mode in made.modes.modes.values():
         assert set(mode.joint_controllers) <= set(named)

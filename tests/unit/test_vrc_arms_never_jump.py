@@ -21,6 +21,7 @@ from valor.common.behaviors import Behavior, Locomotion
 from valor.common.messages import BehaviorRequest, JointSetpoints, MotionState, PelvisSetpoint
 from valor.robot.commanded_limits import PELVIS_NAMES
 from valor.valor_ros_controller.controller_manager import Strictness
+from valor.valor_ros_controller.controllers.configuration import TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import MOVED
 from valor.valor_ros_controller.controllers.trajectory_goal import TrajectoryRequest
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
@@ -31,7 +32,7 @@ ROUNDING = 1e-8  # [rad or m]
 CYCLE = 2 * PERIOD * 1e-9  # [s]
 UPPER_BODY = np.array([not any(name in ROBOT.tables.groups[leg] for leg in ("left_leg", "right_leg"))
                        for name in ROBOT.joints])  # fmt: skip
-LEADERS = [*CONTROLLERS.joint_controllers, *CONTROLLERS.robot_controllers]
+LEADERS = list(CONTROLLERS.of_type(TrajectoryControllerConfig))
 
 
 class Watched(System):

@@ -12,12 +12,14 @@ from valor.common.errors import ConfigurationError
 from valor.common.messages import ModeStatus
 from valor.robot.description import RobotDescription
 from valor.valor_ros_controller.control_modes import FILE, ControlModeTable
-from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.configuration import TrackingControllerConfig, TrajectoryControllerConfig
+from valor.valor_ros_controller.controllers.table import ControllersTable
 from valor.valor_ros_controller.trajectory.waypoints import ErrorCode
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 TABLE = ControlModeTable.load()
 CONTROLLERS = ControllersTable.load()
+GOALS = CONTROLLERS.of_type(TrajectoryControllerConfig)
 
 # Boston Dynamics' ids and upper-body flags as Team ViGIR's Atlas table binds them.
 BDI = {
@@ -68,12 +70,13 @@ def test_controllers_of_a_mode_are_accepted_by_its_behavior() -> None:
         states |= dict.fromkeys(("left_arm", "right_arm"), "setpoints" if manipulation == "teleop" else "nobody")
         accepted = {
             controller
-            for controller, config in CONTROLLERS.joint_controllers.items()
-            if all(states[machine] == state for machine, state in config.accepted_when.items())
+            for controller, config in GOALS.items()
+            if controller in CONTROLLERS.joint_controllers
+            and all(states[machine] == state for machine, state in config.accepted_when.items())
         }
-        assert set(mode.joint_controllers) == accepted | set(CONTROLLERS.tracking_controllers), name
-        for controller in set(mode.robot_controllers) & set(CONTROLLERS.robot_controllers):
-            config = CONTROLLERS.robot_controllers[controller]
+        assert set(mode.joint_controllers) == accepted | set(CONTROLLERS.of_type(TrackingControllerConfig)), name
+        for controller in set(mode.robot_controllers) & set(GOALS):
+            config = GOALS[controller]
             assert all(states[machine] == state for machine, state in config.accepted_when.items()), name
 
 
@@ -106,10 +109,8 @@ def test_flags_and_codes_are_those_of_the_messages() -> None:
 def test_controllers_find_their_joints_in_every_robot(robot: str) -> None:
     description = RobotDescription.load(REPOSITORY / "robots" / robot)
     hw = ValorEscherHWInterface(description)
-    for name, config in (
-        CONTROLLERS.joint_controllers | CONTROLLERS.tracking_controllers | CONTROLLERS.robot_controllers
-    ).items():
-        assert hw.group_indices(config.groups).size, name
+    for name, config in CONTROLLERS.all.items():
+        assert not config.groups or hw.group_indices(config.groups).size, name
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,9 @@ from harness import motion_states
 from harness.places import ROBOTS
 from valor.common.messages import MotionState
 from valor.robot.description import RobotDescription
-from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.configuration import TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController
+from valor.valor_ros_controller.controllers.table import ControllersTable
 from valor.valor_ros_controller.controllers.trajectory_goal import (
     TrajectoryGoal,
     TrajectoryOutcome,
@@ -27,7 +28,7 @@ from valor.valor_ros_controller.trajectory.waypoints import ErrorCode, InvalidTr
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface
 
 ROBOT = RobotDescription.load(ROBOTS / "escher")
-CONFIG = ControllersTable.load().joint_controllers["left_arm_traj_controller"]
+CONFIG = ControllersTable.load().of_type(TrajectoryControllerConfig)["left_arm_traj_controller"]
 NAMES = ROBOT.tables.groups["left_arm"]
 HOME = ROBOT.nominal_posture
 PERIOD = 4_000_000

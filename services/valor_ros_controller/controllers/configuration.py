@@ -1,20 +1,15 @@
-"""Table of controllers, ``controllers.yaml``, and settings that change at run time."""
+"""Configurations of the controllers in ``controllers.yaml``, and settings that change at run time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from msgspec import Meta, field, structs
+from msgspec import Meta, structs
 
 from valor.common.arrays import FloatArray
-from valor.common.table import NonNegative, Positive, Table, read
-from valor.robot.description import RobotDescription
+from valor.common.table import NonNegative, Positive, Table
 from valor.valor_ros_controller.trajectory.waypoints import Tolerances
-from valor.valor_ros_controller.valor_escher_hw_interface import PELVIS
-
-FILE = Path(__file__).parent.parent / "controllers.yaml"
 
 _Rate = Annotated[float, Meta(ge=0.1, le=500.0)]
 
@@ -35,7 +30,14 @@ class EachJoint(Table):
     max_deceleration_on_cancel: Positive  # [1/s²]
 
 
-class TrajectoryControllerConfig(Table):
+class ControllerConfig(Table):
+    """Any controller."""
+
+    type: str  # in the form of a ros2_control plug-in
+    groups: tuple[str, ...] = ()  # of robot.yaml, or the pelvis; a robot without any of them lacks the controller
+
+
+class TrajectoryControllerConfig(ControllerConfig, kw_only=True):
     """Trajectory controller."""
 
     groups: tuple[str, ...]
@@ -58,65 +60,12 @@ class TrajectoryControllerConfig(Table):
         return values
 
 
-class TrackingControllerConfig(Table):
+class TrackingControllerConfig(ControllerConfig, kw_only=True):
     """Tracking controller, which follows the robot."""
 
     groups: tuple[str, ...]
     state_publish_rate: _Rate
     goals: str
-
-
-class OffsetControllerConfig(Table):
-    """Controller of offsets that are added to the commands of others."""
-
-    groups: tuple[str, ...]
-
-
-class ControllersTable(Table):
-    """``controllers.yaml``."""
-
-    namespace: str
-    defaults: dict[str, Any]  # for references within the file
-    legs: dict[str, Any]  # for references within the file
-    joint_controllers: dict[str, TrajectoryControllerConfig]
-    tracking_controllers: dict[str, TrackingControllerConfig]
-    robot_controllers: dict[str, TrajectoryControllerConfig] = field(default_factory=dict)
-    offset_controllers: dict[str, OffsetControllerConfig] = field(default_factory=dict)
-
-    @classmethod
-    def load(cls, file: Path = FILE) -> Self:
-        """Read the table. Raises ConfigurationError: the file or a key is missing or invalid."""
-        return read(cls, file)
-
-    def of(self, robot: RobotDescription) -> Self:
-        def present(controllers: dict[str, Any]) -> dict[str, Any]:
-            return {
-                name: config
-                for name, config in controllers.items()
-                if any(group == PELVIS or robot.tables.group(group) for group in config.groups)
-            }
-
-        return structs.replace(
-            self,
-            joint_controllers=present(self.joint_controllers),
-            tracking_controllers=present(self.tracking_controllers),
-            robot_controllers=present(self.robot_controllers),
-            offset_controllers=present(self.offset_controllers),
-        )
-
-    def bases(self, name: str) -> tuple[str, str]:
-        """Prefixes of a controller's interface names: ViGIR's, then ros2_control's."""
-        return f"{self.namespace}/{name}", name
-
-    @property
-    def manipulate(self) -> bool:
-        """Whether any controller moves arms, hands or waist."""
-        return any("manipulation" in config.accepted_when for config in self.joint_controllers.values())
-
-    @property
-    def names(self) -> frozenset[str]:
-        controllers = (self.joint_controllers, self.tracking_controllers, self.robot_controllers)
-        return frozenset(name for each in (*controllers, self.offset_controllers) for name in each)
 
 
 @dataclass(frozen=True)

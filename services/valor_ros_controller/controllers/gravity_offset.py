@@ -7,14 +7,15 @@ command rectification (thesis 3.5), from the masses of the robot's model, measur
 import logging
 from collections.abc import Mapping, Sequence
 from math import cos, sin
+from typing import Self
 
 import numpy as np
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.robot.kinematic_tree import KinematicTree
-from valor.valor_ros_controller.controller_manager import Controller
-from valor.valor_ros_controller.controllers.configuration import OffsetControllerConfig
+from valor.valor_ros_controller.controller_manager import Controller, Resources
+from valor.valor_ros_controller.controllers.configuration import ControllerConfig
 from valor.valor_ros_controller.rejection_log import BoundedLog
 from valor.valor_ros_controller.valor_escher_hw_interface import LONGEST_STEP, ValorEscherHWInterface
 
@@ -33,7 +34,7 @@ class GravityOffset(Controller):
     command_interfaces = ("position_offset",)
 
     def __init__(
-        self, name: str, config: OffsetControllerConfig, hw: ValorEscherHWInterface, tree: KinematicTree | None
+        self, name: str, config: ControllerConfig, hw: ValorEscherHWInterface, tree: KinematicTree | None
     ) -> None:
         """``tree``: of the robot; without it, or if its Motion System compensates weights, the controller stays off."""
         robot = hw.robot
@@ -48,6 +49,10 @@ class GravityOffset(Controller):
         imu = next(frame for frame in tree.frames if frame.target == robot.tables.imu.site)
         self._imu = imu.orientation
         self._weights = Weights(tree, [robot.joints[joint] for joint in self.joints], robot.index)
+
+    @classmethod
+    def make(cls, name: str, config: ControllerConfig, resources: Resources) -> Self:
+        return cls(name, config, resources.hw, resources.tree)
 
     def update(self, hw: ValorEscherHWInterface) -> None:
         """Move the offsets to those of the present posture, to zero while inactive."""

@@ -10,11 +10,12 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.valor_ros_controller.controller_manager import Controller
+from valor.valor_ros_controller.controller_manager import Controller, Resources
 from valor.valor_ros_controller.controllers.configuration import Settings, TrajectoryControllerConfig
 from valor.valor_ros_controller.controllers.trajectory_goal import TrajectoryGoal, TrajectoryOutcome, TrajectoryRequest
 from valor.valor_ros_controller.rejection_log import BoundedLog, RejectionLog
@@ -41,6 +42,7 @@ class JointTrajectoryController(Controller):
     """
 
     type = "joint_trajectory_controller/JointTrajectoryController"
+    config = TrajectoryControllerConfig
     command_interfaces = ("position", "velocity", "acceleration")
 
     def __init__(
@@ -68,6 +70,10 @@ class JointTrajectoryController(Controller):
         self._moving = False
         self._waiting_since = 0
         self._feedback = Schedule()
+
+    @classmethod
+    def make(cls, name: str, config: TrajectoryControllerConfig, resources: Resources) -> Self:
+        return cls(name, config, resources.hw, resources.modes.running(name))
 
     # --- from any thread ------------------------------------------------------------------------------------------
 

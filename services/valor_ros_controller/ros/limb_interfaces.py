@@ -20,13 +20,14 @@ from valor.common.arrays import FloatArray, sequence
 from valor.ros.deferred_action_server import DeferredActionServer
 from valor.ros.node import ProcessNode
 from valor.valor_ros_controller.controllers.joint_trajectory_controller import JointTrajectoryController, Schedule
+from valor.valor_ros_controller.controllers.tracking import TrackingController
 from valor.valor_ros_controller.controllers.trajectory_goal import (
     TrajectoryGoal,
     TrajectoryOutcome,
     TrajectoryRequest,
     stated,
 )
-from valor.valor_ros_controller.core import TrackingController, UpdateQueue
+from valor.valor_ros_controller.core import UpdateQueue
 from valor.valor_ros_controller.trajectory.admission import check_waypoints
 from valor.valor_ros_controller.trajectory.waypoints import ErrorCode, InvalidTrajectoryError, Point
 from valor.valor_ros_controller.valor_escher_hw_interface import ValorEscherHWInterface

@@ -7,7 +7,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from valor.valor_ros_controller.controllers.configuration import ControllersTable
+from valor.valor_ros_controller.controllers.configuration import TrackingControllerConfig, TrajectoryControllerConfig
+from valor.valor_ros_controller.controllers.table import ControllersTable
 
 DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "interfaces.md"
 
@@ -40,14 +41,10 @@ def tables(title: str) -> list[list[dict[str, str]]]:
     return found
 
 
-CONTROLLERS = ControllersTable.load()
+GOALS = list(ControllersTable.load().of_type(TrajectoryControllerConfig))
 PLACEHOLDERS = {
-    "<goal_controller>": [*CONTROLLERS.joint_controllers, *CONTROLLERS.robot_controllers],
-    "<controller>": [
-        *CONTROLLERS.joint_controllers,
-        *CONTROLLERS.tracking_controllers,
-        *CONTROLLERS.robot_controllers,
-    ],
+    "<goal_controller>": GOALS,
+    "<controller>": [*GOALS, *ControllersTable.load().of_type(TrackingControllerConfig)],
 }
 
 
