@@ -1,6 +1,6 @@
 """Exchanges of controllers at random times: standing, and walking.
 
-    python -m benchmarks.exchanges ROBOT CONTROLLER [--profile hardware] [--exchanges 100] [--speed 0.3]
+    python -m benchmarks.exchanges ROBOT CONTROLLER [--profile hardware] [--exchanges 50] [--speed 0 0.3]
 
 ROBOT is a name or a folder whose robot.yaml has the controller in ``controllers`` for standing and walking. A row of
 the table is one way of exchanging, from or to the Whole-Body Controller. Beside the largest step of a joint's torque
@@ -103,16 +103,17 @@ def main() -> None:
     parser.add_argument("robot")
     parser.add_argument("controller")
     parser.add_argument("--profile", default="hardware")
-    parser.add_argument("--exchanges", type=int, default=100)
-    parser.add_argument("--speed", type=float, default=0.3)
+    parser.add_argument("--exchanges", type=int, default=50, help="each way")
+    parser.add_argument("--speed", type=float, nargs="+", default=(0.0, 0.3), help="0: standing [m/s]")
     options = parser.parse_args()
     robot = RobotDescription.load(robot_folder(options.robot))
     print(f"{robot.name}, {options.profile}, {options.controller}")
     print("| | to | done | rejected | failed | waited, median, most [s] | largest step | without exchange |")
     print("|---|---|---|---|---|---|---|---|")
-    for what, speed in (("standing", 0.0), (f"walking {options.speed:g} m/s", options.speed)):
+    for speed in options.speed:
+        what = f"walking {speed:g} m/s" if speed else "standing"
         exchanges = Exchanges(robot, options.profile, options.controller, speed)
-        for to, row in exchanges.run(options.exchanges // (2 if speed else 1)).items():
+        for to, row in exchanges.run(options.exchanges).items():
             waited = f"{np.median(row.waited):.2f}, {max(row.waited):.2f}" if row.waited else "–"
             cells = (what, to, row.done, row.rejected, row.falls, waited, f"{row.step:.0%}", f"{exchanges.usual:.0%}")
             print(f"| {' | '.join(map(str, cells))} |", flush=True)
