@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from harness.strangers import ROBOTS, folder_of
 from valor.analysis.film import moments
 from valor.analysis.film.moments import STATE
 from valor.common.instance import Instance
@@ -25,6 +27,7 @@ _ROOT = Path(__file__).resolve().parents[1]
 _PAGE = _ROOT / "docs" / "gallery.md"
 _FILMS = Path("docs") / "pictures"
 _BAGS = Path("output") / "gallery"
+_G1 = _BAGS / "g1"
 _VALORCTL = Path(sys.executable).with_name("valorctl")
 _LARGEST, _ALL = 3_000_000, 12_000_000  # of a film, and of all [B]
 _BESIDE = 0.6  # of what is filmed, before and after [s]
@@ -148,6 +151,22 @@ def _door(script: Script) -> None:
     script.video({"stand_manipulate"}, "--camera", "shoulder", "--speed", 3)
 
 
+def _made_g1() -> None:
+    shutil.rmtree(_ROOT / _G1, ignore_errors=True)
+    folder_of("g1", ROBOTS["g1"].model(), _ROOT / _G1, ["ppo"])
+
+
+def _exchange(script: Script) -> None:
+    walking = script.beside("walk", "--vx", 0.3, "--for", 14)
+    script.passed(5.0)
+    script("controller", "ppo")
+    script.passed(4.0)
+    script("controller", "whole_body")
+    if walking.wait():
+        raise SystemExit("the robot did not walk")
+    script.video({"walk"})
+
+
 @dataclass(frozen=True)
 class Scene:
     """What is seen, where, of whom, and how it is played.
@@ -160,6 +179,7 @@ class Scene:
     text: str
     up: tuple[str, ...] | None
     play: Callable[[Script], None]
+    before: Callable[[], object] = lambda: None  # makes what ``up`` needs
 
 
 # fmt: off
@@ -171,6 +191,11 @@ SCENES = {
     "fall_and_get_up": Scene("Fall and get up", "110 N·s are too many. Twice its speed.", (), _get_up),
     "thor_walk": Scene("THOR", "The elder brother, on the dirt.", ("--robot", "thor", "--world", "dirt"), _walk),
     "door": Scene("A door", "Its right fist presses the lever, and pushes. Three times its speed.", None, _door),
+    "exchange": Scene(
+        "A policy takes over",
+        "A G1 made by `robot new` walks: Whole-Body Controller, holosoma's policy `ppo`, Whole-Body Controller.",
+        ("--robot", str(_G1)), _exchange, _made_g1,
+    ),
     "arms_while_walking": Scene("Arms while walking", "Arms go to presets on the way. 1.5 times its speed.", (), _arms),
 }
 # fmt: on
@@ -181,6 +206,7 @@ def film(name: str) -> list[str]:
     scene, script = SCENES[name], Script(name)
     (_ROOT / script.bag).unlink(missing_ok=True)
     (_ROOT / script.bag).parent.mkdir(parents=True, exist_ok=True)
+    scene.before()
     try:
         if scene.up is not None:
             script("up", *scene.up, "--rtf", 0, "--bag", script.bag)

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from valor.analysis.film.moments import JOINTS, ODOMETRY, STATE, TRUTH, Moment, Moments
+from valor.analysis.film.moments import CONTROLLER, JOINTS, ODOMETRY, STATE, TRUTH, Moment, Moments
 from valor.bags.errors import BagError
 from valor.common.arrays import FloatArray
 from valor.common.poses import Pose
@@ -20,6 +20,7 @@ from valor.drawing import Posture, marks
 from valor.drawing.marks import Mark
 from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
+from valor.robot.motion_tables import WHOLE_BODY
 
 TRUE, BELIEVED, STANDING = "the simulator's truth", "the robot's estimate", "a fixed base"
 _ESCHER = 80.0 * 9.81  # weight for which ``METRES_A_NEWTON`` is the scale of arrows [N]
@@ -87,6 +88,7 @@ class Frame:
     posture: Posture
     view: View
     marks: list[Mark]
+    controller: str = ""  # in control, of a robot that has several
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,7 @@ def plan(robot: RobotDescription, moments: Moments, camera: Camera, overlays: Co
     for posture, moment, pair, view in zip(postures, moments.known, soles, seen, strict=True):
         over = _world_over_odom(posture, moment)
         drawn = [mark for name in OVERLAYS if name in overlays for mark in OVERLAYS[name](body, moment, pair, over)]
-        frames.append(Frame(posture, view, drawn))
+        frames.append(Frame(posture, view, drawn, _controller(moment)))
     return Storyboard(frames, base)
 
 
@@ -196,6 +198,11 @@ def _posture(robot: RobotDescription, time: float, moment: Moment) -> Posture:
 
 def _believed(moment: Moment) -> tuple[FloatArray, FloatArray]:
     return moment[STATE].pelvis_position_in_odom, moment[STATE].pelvis_orientation_in_odom
+
+
+def _controller(moment: Moment) -> str:
+    status = moment.get(CONTROLLER)  # absent in older recordings
+    return "" if status is None or {*status.stand, *status.walk} == {WHOLE_BODY} else str(status.active)
 
 
 def _joints(robot: RobotDescription, moment: Moment) -> FloatArray:

@@ -12,12 +12,13 @@ from valor.analysis.reading.recording import recorded
 from valor.analysis.reading.ros_types import Types
 from valor.bags.errors import BagError
 from valor.bags.stored import StoredBag, StoredMessage
-from valor.common.topics import GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
+from valor.common.topics import CONTROLLERS, GROUND_TRUTH, MOTION_STATE, PROPRIOCEPTOR
 
 JOINTS = (recorded(PROPRIOCEPTOR), "/joint_states")
 STATE, TRUTH, ODOMETRY = recorded(MOTION_STATE), recorded(GROUND_TRUTH), "/odom"
-TOPICS = (*JOINTS, STATE, TRUTH, ODOMETRY)
-_MIRRORED = {JOINTS[0], STATE, TRUTH}  # of Bifrost's messages; the others are ROS 2's own
+CONTROLLER = recorded(CONTROLLERS)
+TOPICS = (*JOINTS, STATE, TRUTH, ODOMETRY, CONTROLLER)
+_MIRRORED = {JOINTS[0], STATE, TRUTH, CONTROLLER}  # of Bifrost's messages; the others are ROS 2's own
 _ENCODING, _STAMPED = 4, 12  # bytes of the encoding header; of the stamp and the length of the frame's name
 _AFTER = 2.0  # maximum delay of other topics after the last moment [s]
 _TELL = 2000  # messages between two reports of progress

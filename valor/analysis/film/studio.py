@@ -31,9 +31,11 @@ from valor.drawing import RenderingError
 from valor.drawing.offscreen import Image
 from valor.drawing.scene import Quality, Scene
 from valor.robot.description import RobotDescription
+from valor.robot.motion_tables import WHOLE_BODY
 
 _SHARE = 0.036  # size of a caption, of the picture's height
 _SMALLEST = 11  # [pixels]
+_OTHER = "#ffd166"  # of a caption of another controller than the Whole-Body Controller
 MOST = 8  # maximum number of processes; each stores the scene
 
 
@@ -117,17 +119,19 @@ def _draw(stage: Stage, frames: list[Frame]) -> Iterator[Image]:
             image = scene.draw(frame.posture, frame.marks)
             if stage.origin is not None:
                 time = frame.posture.time - stage.origin
-                image = _caption(image, frame.posture.behavior, time, stage.speed)
+                image = _caption(image, frame.posture.behavior, frame.controller, time, stage.speed)
             yield image
 
 
-def _caption(image: Image, behavior: str, time: float, speed: float) -> Image:
-    """Copy an image and add behavior, recorded time [s], and the speed unless it is 1."""
+def _caption(image: Image, behavior: str, controller: str, time: float, speed: float) -> Image:
+    """Copy an image and add behavior, controller, recorded time [s], and the speed unless it is 1."""
     picture = Pillow.fromarray(image)
     draw = ImageDraw.Draw(picture)
     size = max(_SMALLEST, round(_SHARE * picture.height))
     font, edge = _font(size), size // 2
     words = [(behavior.replace("_", " ") or "—", bands.color(behavior)), (f"{time:5.1f} s", "#ffffff")]
+    if controller:
+        words.insert(1, (controller.replace("_", " "), "#ffffff" if controller == WHOLE_BODY else _OTHER))
     if speed != 1.0:
         words.append((f"×{speed:g}", "#ffffff"))
     left, top = 2.0 * edge, picture.height - 2 * edge - 2 * size
