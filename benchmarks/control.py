@@ -3,10 +3,10 @@
 Prints Markdown tables: the time of a tick, standing over seeds, the largest push survived in each direction with fixed
 feet against the bound of physics m·ω·Δξ (the DCM must stay within reach of the centre of pressure), the largest one
 survived by stepping, walking, pushes at any phase of a walk, the ways over dirt, rubble and stairs, and actuator
-profiles side by side.
+profiles and natural frequencies side by side.
 
     .venv/bin/python benchmarks/control.py [ticks] [standing] [fixed] [stepping] [walking] [pushed] [courses] [profiles]
-        [--profile hardware] [--seeds 3] [--seconds 60]
+        [frequencies] [--profile hardware] [--seeds 3] [--seconds 60]
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy
 
 import numpy as np
 
-from benchmarks import profiles, pushes, walks
+from benchmarks import frequencies, profiles, pushes, walks
 from harness.closed_loop import ClosedLoop, load_robot
 from valor.robot.description import RobotDescription
 from valor.whole_body.walking.velocity_steps import VelocitySteps
@@ -32,7 +32,9 @@ def main() -> None:
     """Run what the command line asks for; everything by default."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "what", nargs="*", help="ticks, standing, fixed, stepping, walking, pushed, courses, profiles; default: all"
+        "what",
+        nargs="*",
+        help="ticks, standing, fixed, stepping, walking, pushed, courses, profiles, frequencies",
     )
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--profile", default="hardware")
@@ -51,6 +53,7 @@ def main() -> None:
             options.robot, [p for p in PROFILES if p in robot.tables.actuators], options.seeds
         ),
         "courses": lambda: walks.courses(options.robot, options.profile, options.seeds),
+        "frequencies": lambda: frequencies.table(options.robot, options.profile, options.seeds),
     }
     for name in options.what or parts:
         for line in parts[name]():

@@ -1,7 +1,7 @@
 """Sections of robot.yaml that only the Motion Manager reads: weights, gains and thresholds of its controllers."""
 
 from collections.abc import Iterator
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -26,6 +26,8 @@ class FallDetection(Table):
 class WholeBody(Table):
     """Weights and gains of the Whole-Body Controller."""
 
+    # ω of the DCM while the robot steps: of the nominal CoM height, or varying with a CoM planned with the least jerk.
+    natural_frequency: Literal["constant", "varying"] = "constant"
     friction: Positive = 0.6  # assumed coefficient
     contact_inset: Length[NonNegative] = 0.005  # contact points pulled in from the sole's edges [m]
     dcm_gain: Rate[Positive] = 5.0  # k_ξ

@@ -180,7 +180,7 @@ class WholeBodyController(Controller):
             self.pelvis.go_home()
             gait.recover(state, self._recovery, state.dcm_in_odom - reference.shift, reference.centre_vrp)
         if gait.active:
-            gait.update(state, state.dcm_in_odom - reference.shift, dt)
+            gait.update(state, reference.shift, dt)
         elif steps is not None and self.pelvis.resting:
             gait.start(state, steps, reference.centre_dcm, reference.centre_vrp)
         left, right = gait.load.tolist()

@@ -1,6 +1,7 @@
 """Desired accelerations of a period, in one kernel: references, tasks, posture and joint limits."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,7 @@ from valor.control.motions import Motions
 from valor.control.state import RobotState
 from valor.robot.description import RobotDescription
 from valor.whole_body.balance.pelvis import PelvisReference
-from valor.whole_body.balance.reference import Begun, DcmLaw, Feet, Led, StandReference
+from valor.whole_body.balance.reference import Begun, DcmLaw, Feet, Led, StandReference, at_frequency
 from valor.whole_body.constraints import JointLimits
 from valor.whole_body.set_points import SetPoints
 from valor.whole_body.task_dynamics import TaskDynamics
@@ -46,7 +47,7 @@ class DesiredAccelerations:
         self._places, self._legs = joints.places, joints.group("left_leg", "right_leg").tolist()
         self._integrated = set_points.integrated
         self._pelvis, self._upper_body = pelvis, upper_body
-        self._reference = StandReference(robot, law.omega, upper_body.nominal_com_height)
+        self._reference = StandReference(robot, upper_body.nominal_com_height)
         self._posture = Posture(robot, joints.places, self._legs)
         # Positions and rotations of soles, CoM, DCM, pelvis velocity; velocities and poses of the motions.
         self._sizes = (6, 18, 3, 3, 3, motions.count, motions.size)
@@ -54,7 +55,7 @@ class DesiredAccelerations:
         self._memory, self._next = np.zeros(sum(_MEMORY)), np.zeros(sum(_MEMORY))
         self._led = np.zeros(15)
         self._legs_led, self._legs_start = np.zeros(len(self._legs)), np.zeros(len(self._legs))
-        self._gait = np.zeros(7)  # whether the robot steps, DCM, VRP
+        self._gait = np.zeros(9)  # whether the robot steps, DCM, VRP, ω, ω̇
         self._swing = np.zeros(2 + sum(SWING))  # which foot swings, then its reference
         self._asked = np.zeros((3, nj))
         self._measured = np.zeros((2, nj))
@@ -63,7 +64,7 @@ class DesiredAccelerations:
         self.lower, self.upper = np.zeros(nj), np.zeros(nj)  # limits of joint accelerations [rad/s²]
         self.velocity = np.zeros(nj)  # joint velocity that the QP's accelerations change [rad/s]
         self._sent = np.zeros((4, 3))
-        # DCM reference, its part due to arms that are not nominal, references for nominal arms [m]
+        # DCM reference for nominal ω, part of it due to arms that are not nominal, references for nominal arms [m]
         self.dcm = self.shift = self.centre_dcm = self.centre_vrp = np.zeros(3)
         inputs = (
             *(self._state, self._memory, self._led, upper_body.com, upper_body.chest, self._legs_led),
@@ -111,7 +112,8 @@ class DesiredAccelerations:
         self._legs_led[:] = pelvis.legs
         self._gait[0] = gait.active
         if gait.active:
-            self._gait[1:4], self._gait[4:] = gait.dcm, gait.vrp
+            self._gait[1:4], self._gait[4:7] = gait.dcm, gait.vrp
+        self._gait[7], self._gait[8] = gait.omega, gait.omega_dot
         self._swing[0], self._swing[1] = gait.swinging == 0, gait.swinging == 1
         if gait.swinging is not None:
             point = gait.swing
@@ -136,10 +138,13 @@ class DesiredAccelerations:
         begun = Begun(time, support, by_rows(shift), by_rows(offsets))
         turn, turning, com_led = pieces(led, (9, 3, 3))
         leading = Led(by_rows(turn), turning, com_led, arms_com - ca.DM(self._upper_body.nominal_com), chest)
-        begun, reference = self._reference.advance(begun, feet, leading, (gait[0], gait[1:4], gait[4:]), dt)
-        point, integral = self._law.repellent_point(dcm, reference.dcm, reference.vrp, integral, dt)
+        law = replace(self._law, omega=gait[7], omega_dot=gait[8])
+        begun, reference = self._reference.advance(begun, feet, leading, (gait[0], gait[1:4], gait[4:7]), dt, law=law)
+        nominal = self._law.omega
+        own_dcm = at_frequency(dcm, com, nominal / law.omega)
+        point, integral = law.repellent_point(own_dcm, reference.dcm, reference.vrp, integral, dt)
         kept = ca.if_else(gait[0], stance(feet), kept)  # stance after the last step
-        period = Period(reference, self._law, com, point, feet, kept, gait[0], swing[:2], swing[2:])
+        period = Period(reference, law, com, point, feet, kept, gait[0], swing[:2], swing[2:])
         velocities = rates + ca.sparsify(ca.DM(self._motions.carried)) @ moving
         rows, places = self._motions.rows, self._motions.poses
         wanted = [
@@ -150,7 +155,8 @@ class DesiredAccelerations:
         position = ca.if_else(integrated, position, measured[0, :].T)
         velocity = ca.if_else(integrated, velocity, measured[1, :].T)
         lower, upper = self._limits.acceleration(position, velocity)
-        sent = ca.horzcat(reference.dcm, reference.shift, reference.centre_dcm, reference.centre_vrp).T
+        nominal_dcm = at_frequency(reference.dcm, com, law.omega / nominal)
+        sent = ca.horzcat(nominal_dcm, reference.shift, reference.centre_dcm, reference.centre_vrp).T
         legs = legs_start + reference.legs_blend * (legs_led - legs_start)
         posture = self._posture.acceleration(asked, legs, position, velocity)
         return ca.vertcat(_numbers(begun), integral, kept), sent, ca.vertcat(*wanted), posture, lower, upper, velocity

@@ -54,9 +54,10 @@ def test_walks_and_comes_to_rest(robot: RobotDescription, velocity: tuple[float,
     assert np.linalg.norm(soles[0] - soles[1]) == pytest.approx(robot.tables.walking.step_width, abs=0.03)
 
 
-def test_climbs_stairs_step_over_step(robot: RobotDescription) -> None:
+@pytest.mark.parametrize("frequency", ["constant", "varying"])
+def test_climbs_stairs_step_over_step(frequency: str) -> None:
     """Three steps of 15 cm, one foot on each."""
-    loop = ClosedLoop(robot, "hardware", 0, world="stairs_15cm")
+    loop = ClosedLoop(load_robot(whole_body={"natural_frequency": frequency}), "hardware", 0, world="stairs_15cm")
     loop.settle(0.3)
     loop.run(1.5)
     footholds = [(0.16, 0.0), (0.32, 0.0), (0.625, 0.15), (0.925, 0.3), (1.225, 0.45), (1.225, 0.45)]
@@ -78,7 +79,7 @@ def test_climbs_stairs_step_over_step(robot: RobotDescription) -> None:
     assert queue.last_performed == 5
     assert loop.command.qp_failures == 0
     assert (np.sqrt((np.array(errors) ** 2).mean(axis=0)) < (0.015, 0.015, 0.035)).all()
-    assert knee > 0.3
+    assert knee > 0.25
     assert loop.plant.data.qpos[2] - before == pytest.approx(0.45, abs=0.04)
 
 

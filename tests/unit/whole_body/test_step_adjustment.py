@@ -20,7 +20,7 @@ from valor.whole_body.walking.step_guard import Adjustment, Situation, StepAdjus
 OMEGA = 3.377
 TRANSFER = 0.2
 ROBOT = load_robot()
-ADJUSTER = StepAdjuster(ROBOT, OMEGA)
+ADJUSTER = StepAdjuster(ROBOT)
 CENTRE = np.array((0.025, 0.0, 0.87))  # over the stance sole
 
 
@@ -50,7 +50,14 @@ def situation(
         stance=level_pose(3.0, -2.0, 0.0, heading), swing=level_pose(behind[0], behind[1], 0.05, heading),
         centre=placed(CENTRE[0], CENTRE[1]) + np.array((0.0, 0.0, CENTRE[2])),
         dcm_error=np.array((c * error[0] - s * error[1], s * error[0] + c * error[1], 0.0)), landing_dcm=landing,
-        left=left, least=least, transfer=TRANSFER,
+        left=left, least=least, transfer=TRANSFER, omega=OMEGA,
+    )  # fmt: skip
+
+
+def begin(guard: StepGuard, case: Situation) -> None:
+    guard.begin(
+        case.step, case.stance, case.centre,
+        landing_dcm=case.landing_dcm, touchdown=0.6, transfer=TRANSFER, omega=OMEGA,
     )  # fmt: skip
 
 
@@ -169,8 +176,8 @@ def test_a_late_foot_goes_where_the_dcm_needs_it_within_reach(
 ) -> None:
     case = situation(foot, (0.3, 0.2), (0.0, 0.0), 0.06, heading=heading, adjustable=adjustable)
     assert ROBOT.tables.footsteps is not None
-    guard = StepGuard(ROBOT, OMEGA)
-    guard.begin(case.step, case.stance, case.centre, landing_dcm=case.landing_dcm, touchdown=0.6, transfer=TRANSFER)
+    guard = StepGuard(ROBOT)
+    begin(guard, case)
     moved = np.array((x, y, 0.0))
     place = guard.late_foothold(case.landing_dcm + moved)
     x, y, _ = (place - case.step.sole.position).tolist()
@@ -188,8 +195,8 @@ def test_the_vrp_of_a_late_step_stays_over_the_stance_sole_and_holds_the_dcm_bac
     foot: int, heading: float, x: float, y: float
 ) -> None:
     case = situation(foot, (0.3, 0.2), (0.0, 0.0), 0.06, heading=heading)
-    guard = StepGuard(ROBOT, OMEGA)
-    guard.begin(case.step, case.stance, case.centre, landing_dcm=case.landing_dcm, touchdown=0.6, transfer=TRANSFER)
+    guard = StepGuard(ROBOT)
+    begin(guard, case)
     c, s = cos(heading), sin(heading)
     dcm = case.centre + np.array((c * x - s * y, s * x + c * y, 0.0))
     dx, dy, dz = (guard.late_vrp(dcm) - case.centre).tolist()
@@ -203,6 +210,6 @@ def test_the_vrp_of_a_late_step_stays_over_the_stance_sole_and_holds_the_dcm_bac
 
 def test_a_late_foot_stays_where_it_was_led_when_the_dcm_is_no_number() -> None:
     case = situation(LEFT, (0.3, 0.2), (0.0, 0.0), 0.06)
-    guard = StepGuard(ROBOT, OMEGA)
-    guard.begin(case.step, case.stance, case.centre, landing_dcm=case.landing_dcm, touchdown=0.6, transfer=TRANSFER)
+    guard = StepGuard(ROBOT)
+    begin(guard, case)
     np.testing.assert_array_equal(guard.late_foothold(np.full(3, nan)), case.step.sole.position)

@@ -13,10 +13,12 @@ from valor.robot.description import RobotDescription
 from valor.robot.footsteps import StepRule
 from valor.whole_body.walking.dcm_plan import DcmPlan
 from valor.whole_body.walking.footsteps import level_pose
+from valor.whole_body.walking.frequency import NaturalFrequency
 from valor.whole_body.walking.swing import SwingPoint, SwingTrajectory
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 OMEGA = 3.377
+FREQUENCY = NaturalFrequency(OMEGA)
 DT = 1e-4  # of numerical integration and differentiation [s]
 FEET = [level_pose(0.0, 0.1, 0.0, 0.0), level_pose(0.0, -0.1, 0.0, 0.0)]
 
@@ -31,7 +33,7 @@ def test_a_plan_begins_where_it_must_and_obeys_the_dynamics(
     dcm: tuple[float, float, float],
 ) -> None:
     knots = np.array([start, *(point for _, point in pieces)])
-    plan = DcmPlan(OMEGA, [duration for duration, _ in pieces], knots, np.array(dcm))
+    plan = DcmPlan(FREQUENCY, [duration for duration, _ in pieces], knots, np.array(dcm))
     first, vrp = plan.at(0.0)
     np.testing.assert_allclose(first, dcm, atol=1e-9)
     np.testing.assert_allclose(vrp, start, atol=1e-9)
@@ -42,7 +44,7 @@ def test_a_plan_begins_where_it_must_and_obeys_the_dynamics(
     for _ in range(200):  # ξ̇ = ω·(ξ − v), by central differences
         time += plan.duration / 200
         after, _ = plan.at(time)
-        middle = DcmPlan(OMEGA, [duration for duration, _ in pieces], knots, np.array(dcm)).at(time - DT)[0]
+        middle = DcmPlan(FREQUENCY, [duration for duration, _ in pieces], knots, np.array(dcm)).at(time - DT)[0]
         _, vrp = plan.at(time)
         np.testing.assert_allclose((after - middle) / DT, OMEGA * (after - vrp), atol=0.01 * size)
         before = after
@@ -57,18 +59,18 @@ def test_a_plan_gives_way_no_further_than_it_may(
     start: tuple[float, float, float], dcm: tuple[float, float, float], most: float
 ) -> None:
     knots, giving = np.array([start, (0.0, 0.1, 0.9), (0.0, 0.1, 0.9), (0.1, 0.0, 0.9)]), slice(1, 3)
-    plan = DcmPlan(OMEGA, [0.1, 0.5, 1.0], knots, np.array(dcm), giving, most=most)
+    plan = DcmPlan(FREQUENCY, [0.1, 0.5, 1.0], knots, np.array(dcm), giving, most=most)
     moved = plan.knots - knots
     np.testing.assert_array_equal(moved[[0, 3]], 0.0)
     assert np.hypot(*moved[1, :2]) <= most + 1e-12
-    free = DcmPlan(OMEGA, [0.1, 0.5, 1.0], knots, np.array(dcm), giving)
+    free = DcmPlan(FREQUENCY, [0.1, 0.5, 1.0], knots, np.array(dcm), giving)
     if np.hypot(*(free.knots - knots)[1, :2]) <= most:
         np.testing.assert_array_equal(plan.knots, free.knots)
 
 
 def test_a_plan_on_hold_lets_the_dcm_go_on_from_where_the_vrp_rests() -> None:
     knots = np.array([[0, 0.1, 0.9], [0, -0.1, 0.9], [0, -0.1, 0.9], [0.3, 0.1, 0.9], [0.3, 0.0, 0.9]])
-    plan = DcmPlan(OMEGA, [0.2, 0.6, 0.2, 1.0], knots, np.array([0.05, 0.0, 0.9]))
+    plan = DcmPlan(FREQUENCY, [0.2, 0.6, 0.2, 1.0], knots, np.array([0.05, 0.0, 0.9]))
     plan.hold(1)
     dcm, vrp = plan.at(0.8)
     for time in np.arange(0.8, 1.0, DT):  # the next piece would have begun

@@ -24,14 +24,15 @@ from valor.robot.description import RobotDescription
 class DcmLaw:
     """DCM feedback with bounded integral action: v = v_ref + (1 + k/ω)·(ξ − ξ_ref) + i,   i̇ = k_i·clip(ξ − ξ_ref).
 
-    With v_ref = ξ_ref − ξ̇_ref/ω the error e = ξ − ξ_ref has the dynamics ė = −k·e − ω·i: it decays with k, and model
-    errors (masses, their positions) end in i. The integrated error is clipped, because a large error is a push. The
-    part of e in the plane above a threshold has a higher gain, so that the CoP reaches the sole's edge at once; with k
-    alone it does so at an error of 5 cm. The horizontal acceleration is bounded by the friction of the soles under the
-    robot's weight: for more, the QP would press on the ground, and the robot would rise.
+    If ω varies, ω is ω − ω̇/ω here. With v_ref = ξ_ref − ξ̇_ref/ω the error e = ξ − ξ_ref has the dynamics
+    ė = −k·e − ω·i: it decays with k, and model errors (masses, their positions) end in i. The integrated error is
+    clipped, because a large error is a push. The part of e in the plane above a threshold has a higher gain, so that
+    the CoP reaches the sole's edge at once; with k alone it does so at an error of 5 cm. The horizontal acceleration is
+    bounded by the friction of the soles under the robot's weight: for more, the QP would press on the ground, and the
+    robot would rise.
     """
 
-    omega: float  # ω [1/s]
+    omega: Expression  # ω [1/s]
     gain: float  # k [1/s]
     integral_gain: float  # k_i [1/s]
     integral_limit: float  # limit of each component of i [m]
@@ -39,6 +40,17 @@ class DcmLaw:
     push_gain: float = 0.0  # added to k for the error above push_error [1/s]
     push_error: float = 0.0  # threshold in the plane [m]
     grip: float = inf  # limit of the acceleration in the plane [m/s²]
+    omega_dot: Expression = 0.0  # ω̇ [1/s²]
+
+    @property
+    def growth(self) -> Expression:
+        """Rate ω − ω̇/ω at which the DCM diverges from the VRP [1/s]."""
+        return self.omega - self.omega_dot / self.omega
+
+    @property
+    def stiffness(self) -> Expression:
+        """Acceleration per distance from the VRP, ω² − ω̇ [1/s²]."""
+        return self.omega * self.omega - self.omega_dot
 
     def repellent_point(
         self, dcm: Expression, reference: Expression, vrp_reference: Expression, integral: Expression, dt: Expression
@@ -51,12 +63,12 @@ class DcmLaw:
         size = _in_plane(error)
         beyond = ca.if_else(size > self.push_error, 1.0 - self.push_error / size, 0.0)
         pushed = ca.vertcat(error[:2], 0.0) * beyond
-        proportional = (1.0 + self.gain / self.omega) * error + self.push_gain / self.omega * pushed
+        proportional = (1.0 + self.gain / self.growth) * error + self.push_gain / self.growth * pushed
         return vrp_reference + proportional + integral, integral
 
     def acceleration(self, com: Expression, repellent_point: Expression) -> Expression:
-        """Return (3,) c̈ = ω²·(c − v) [m/s²], in the plane at most ``grip``."""
-        wanted = (com - repellent_point) * (self.omega * self.omega)
+        """Return (3,) c̈ = (ω² − ω̇)·(c − v) [m/s²], in the plane at most ``grip``."""
+        wanted = (com - repellent_point) * self.stiffness
         size = _in_plane(wanted)
         share = ca.if_else(size > self.grip, self.grip / size, 1.0)
         return ca.vertcat(share * wanted[:2], wanted[2])
@@ -65,6 +77,11 @@ class DcmLaw:
 def _in_plane(vector: Expression) -> Expression:
     """Length of (3,) in the plane."""
     return ca.sqrt(vector[0] * vector[0] + vector[1] * vector[1])
+
+
+def at_frequency(dcm: Expression, com: Expression, ratio: Expression) -> Expression:
+    """Return (3,) the DCM of the same motion for ω/``ratio`` in place of ω, from that for ω and the CoM [m]."""
+    return dcm + (ratio - 1.0) * (dcm - com)
 
 
 def minimum_jerk(time: Expression, duration: float) -> tuple[Expression, Expression, Expression]:
@@ -135,10 +152,10 @@ class Reference(NamedTuple):
 class StandReference:
     """Reference of balance of a robot."""
 
-    def __init__(self, robot: RobotDescription, omega: float, com_height: float) -> None:
-        """Args: omega: ω [1/s]. com_height: of the CoM above the soles in the nominal posture [m]."""
+    def __init__(self, robot: RobotDescription, com_height: float) -> None:
+        """Args: com_height: of the CoM above the soles in the nominal posture [m]."""
         table = robot.read(Tuning).whole_body
-        self._table, self._omega = table, omega
+        self._table = table
         limit = table.com_shift_limit
         self._limit = ca.DM((limit, limit, np.inf)) if limit else ca.DM.zeros(3)
         feet = robot.tables.feet
@@ -159,21 +176,28 @@ class StandReference:
         return Begun(ca.DM.zeros(1), support, ca.horzcat(shift, ca.DM.zeros(3, 2)).T, ca.horzcat(*offsets).T)
 
     def advance(
-        self, begun: Begun, feet: Feet, led: Led, gait: tuple[Expression, Expression, Expression], dt: Expression
+        self,
+        begun: Begun,
+        feet: Feet,
+        led: Led,
+        gait: tuple[Expression, Expression, Expression],
+        dt: Expression,
+        *,
+        law: DcmLaw,
     ) -> tuple[Begun, Reference]:
         """Advance one period of ``dt`` [s]; ``gait`` is whether the robot steps, and its (3,) DCM and (3,) VRP [m]."""
-        table, omega = self._table, self._omega
+        table, omega, stiffness = self._table, law.omega, law.stiffness
         steps, gait_dcm, gait_vrp = gait
         level, time = feet.level(), begun.time + dt
         support = begun.support + (self._support(feet) - begun.support) * (table.support_bandwidth * dt)
         shift = followed(begun.shift, self._shift(level, led), table.com_shift_bandwidth, dt)
         s, rate, acceleration = minimum_jerk(time, table.blend_duration)
         left, offsets = 1.0 - s, begun.offsets
-        # DCM x + ẋ/ω and VRP x − ẍ/ω² of a CoM x
+        # DCM x + ẋ/ω and VRP x − ẍ/(ω² − ω̇) of a CoM x
         centre_dcm = ca.if_else(steps, gait_dcm, support + (left - rate / omega) * offsets[0, :].T)
-        centre_vrp = ca.if_else(steps, gait_vrp, support + (left + acceleration / omega**2) * offsets[0, :].T)
+        centre_vrp = ca.if_else(steps, gait_vrp, support + (left + acceleration / stiffness) * offsets[0, :].T)
         shift_dcm = (shift[0, :] + shift[1, :] / omega).T
-        shift_vrp = (shift[0, :] - shift[2, :] / omega**2).T
+        shift_vrp = (shift[0, :] - shift[2, :] / stiffness).T
         pelvis = level @ led.rotation
         reference = Reference(
             dcm=centre_dcm + shift_dcm,

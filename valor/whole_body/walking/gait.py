@@ -21,8 +21,10 @@ from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT, RIGHT
 from valor.robot.motion_tables import Walking
 from valor.robot.size import ESCHER
+from valor.whole_body.balance.reference import at_frequency
 from valor.whole_body.walking.dcm_plan import DcmPlan
 from valor.whole_body.walking.footsteps import RecoverySteps
+from valor.whole_body.walking.frequency import NaturalFrequency, VaryingFrequency
 from valor.whole_body.walking.step_guard import StepGuard
 from valor.whole_body.walking.swing import SwingPoint, SwingTrajectory
 
@@ -40,15 +42,17 @@ class Gait:
     """References of DCM and feet while the robot steps."""
 
     def __init__(self, robot: RobotDescription, omega: float, com_height: float) -> None:
-        self._table, self._omega = robot.tables.walking, omega
+        self._table, self._nominal = robot.tables.walking, omega
+        self._varies = robot.read(Tuning).whole_body.natural_frequency == "varying"
+        self._frequency = NaturalFrequency(omega)
         feet = robot.tables.feet
         self._centres = [np.array(((foot.heel + foot.toe) / 2.0, 0.0, 0.0)) for foot in (feet.left, feet.right)]
         self._toes = (feet.left.toe, feet.right.toe)
-        self._height = np.array((0.0, 0.0, com_height))
+        self._height, self._gravity = np.array((0.0, 0.0, com_height)), omega * omega * com_height
         self.source: StepSource  # source of the steps
         self._step: Step | None = None
         self._plan: DcmPlan
-        self._guard = StepGuard(robot, omega)
+        self._guard = StepGuard(robot)
         self._trajectory: SwingTrajectory
         self._time = 0.0  # since the transfer began [s]
         self._transfer = 0.0  # its duration [s]
@@ -66,6 +70,8 @@ class Gait:
         self._lower = self._lowered = 0.0  # additional target and actual lowering for an adjusted step [m]
         self.active = False  # whether it steps; the other attributes are valid only then
         self.dcm, self.vrp = np.zeros(3), np.zeros(3)  # references in odom for nominal arms [m]
+        self.omega, self.omega_dot = omega, 0.0  # ω [1/s] and ω̇ [1/s²] of both, nominal at rest
+        self._com_height = com_height  # of the CoM that they lead, in odom [m]
         self.load = np.ones(2)  # (2,) permitted load of each foot, from 0 (none) to 1 (unlimited)
         self.swinging: int | None = None  # foot in the air, or None
         self.swing: SwingPoint  # its reference
@@ -79,7 +85,7 @@ class Gait:
         if not steps:
             return False
         self.active = True
-        self.dcm, self.vrp = dcm, vrp
+        self.dcm, self.vrp, self._com_height = dcm, vrp, float(dcm[2])
         self._early, self._landed = 0.0, None
         self.source = source
         self._sways = not urgent
@@ -105,7 +111,7 @@ class Gait:
         step, *others = source.upcoming(soles)
         step = replace(step, transfer_duration=SHORTEST_PIECE)  # the weight is over the other foot already
         self.active, self.source = True, source
-        self.dcm, self.vrp = dcm, self._over(soles[1 - foot], 1 - foot)
+        self.dcm, self.vrp, self._com_height = dcm, self._over(soles[1 - foot], 1 - foot), float(dcm[2])
         self._early, self._landed, self._sways = 0.0, None, False
         self._begin_transfer(state, (step, *others))
         self._time = self._transfer
@@ -125,11 +131,17 @@ class Gait:
     def stop(self) -> None:
         """End the gait at once."""
         self.active = False
+        self.omega, self.omega_dot = self._nominal, 0.0
         self.swinging = self.foothold = self._step = None
         self.load[:] = 1.0
 
-    def update(self, state: RobotState, dcm: FloatArray, dt: float) -> None:
-        """Advance one period of ``dt`` [s]; ``dcm`` (3,) as in ``recover`` [m]."""
+    @property
+    def _growth(self) -> float:
+        """Rate at which the DCM diverges from the VRP [1/s]."""
+        return self.omega - self.omega_dot / self.omega
+
+    def update(self, state: RobotState, shift: FloatArray, dt: float) -> None:
+        """Advance one period of ``dt`` [s]; ``shift`` (3,) is the DCM's due to arms that are not nominal [m]."""
         self._time += dt
         if self.swinging is None:
             if self._time >= self._transfer:
@@ -142,12 +154,15 @@ class Gait:
             self._end_swing(state)
         before = self.dcm
         self.dcm, self.vrp = self._plan.at(self._time)
+        self.omega, self.omega_dot = self._plan.omega, self._plan.omega_dot
+        dcm = at_frequency(state.dcm_in_odom, state.com_in_odom, self._nominal / self.omega) - shift
         self._sink(dt)
         if self._step is not None:
             if self.swinging is not None and self._time > self._transfer + self._step.swing_duration:
                 self._wait(before, dcm, dt)
             else:
                 self._give_way(state, dcm, self._step)
+        self._com_height += self.omega * dt * (float(self.dcm[2]) - self._com_height)
         self._feet()
 
     def _begin_transfer(self, state: RobotState, steps: Sequence[Step], shortest: float = 0.0) -> None:
@@ -161,7 +176,7 @@ class Gait:
             self._step = self.foothold = None
             self._transfer = self._table.last_transfer_duration + self._early
         soles = sole_poses(state)
-        self._plan_dcm(soles, steps)
+        self._plan_dcm(state, soles, steps)
         if steps:
             step, stance = steps[0], 1 - steps[0].foot
             touchdown = self._transfer + step.swing_duration
@@ -172,15 +187,17 @@ class Gait:
                 landing_dcm=self._plan.at_end(self._resting)[0],
                 touchdown=touchdown,
                 transfer=steps[1].transfer_duration if len(steps) > 1 else self._table.transfer_duration,
+                omega=self._frequency.over(0.0, touchdown)[0],
             )
 
-    def _plan_dcm(self, soles: list[SolePose], steps: Sequence[Step]) -> None:
+    def _plan_dcm(self, state: RobotState, soles: list[SolePose], steps: Sequence[Step]) -> None:
         """Plan the DCM with the VRP's knots over present and coming soles."""
-        durations, knots = [], [self.vrp]
+        begin = self._over_cop() if self._varies else self.vrp
+        durations, knots, points = [], [begin], []  # points: times and heights of the CoM in the middle of transfers
         early = self._early if self._early > SHORTEST_PIECE else 0.0
         if early:  # the VRP stays for its planned duration
             durations.append(early)
-            knots.append(self.vrp)
+            knots.append(begin)
         first = len(durations)
         poses = list(soles)
         lowered = 0.0  # lowering for the step before
@@ -188,36 +205,64 @@ class Gait:
             stance = self._over(poses[1 - step.foot], 1 - step.foot)
             before, lowered = lowered, self._lowering(poses[1 - step.foot], step.sole)
             lower = max(before, lowered, self._lowering(poses[0], poses[1]) if i == 0 else 0.0)
-            stance[2] -= lower
             if i == 0:
                 self._planned_lowering = lower
             transfer = self._transfer - early if i == 0 else step.transfer_duration
+            if not self._varies:
+                stance[2] -= lower
+            elif i > 0:
+                points.append((sum(durations) + 0.5 * transfer, self._between(poses)[2] - before))
             if i == 0 and self._sways:  # from rest: sway aside first
                 durations += [0.5 * transfer, 0.5 * transfer]
-                knots += [0.5 * (self.vrp + stance), stance]
+                knots += [0.5 * (begin + stance), stance]
             else:
                 durations.append(transfer)
                 knots.append(stance)
             durations.append(step.swing_duration)
             knots.append(stance)
             poses[step.foot] = step.sole
-        rest = 0.5 * (self._over(poses[0], 0) + self._over(poses[1], 1))
+        rest = self._between(poses)
         if steps:
             durations.append(self._table.last_transfer_duration)
             knots.append(rest)
         else:
             half = 0.5 * (self._transfer - early)
             durations += [half, half]
-            knots += [0.5 * (self.vrp + rest), rest]
+            knots += [0.5 * (begin + rest), rest]
         self._resting = first + (2 if self._sways else 1)
         over_stance, sway = slice(self._resting, self._resting + 2), slice(first + 1, first + 2)
         if self._sways or not steps:
             giving, most = sway, inf
         else:  # over the next stance within its sole; later steps correct the rest
             giving, most = over_stance, 0.0 if self._landed is None else self._giving
-        self._plan = DcmPlan(self._omega, durations, np.array(knots), self.dcm, giving, most=most)
+        dcm = self.dcm
+        if self._varies:
+            self._vary(durations, np.array(knots), [*points, (sum(durations), rest[2] - lowered)])
+            dcm = at_frequency(dcm, state.com_in_odom, self.omega / self._frequency.at(0.0)[0])
+        self._plan = DcmPlan(self._frequency, durations, np.array(knots), dcm, giving, most=most)
         if steps:  # wait for a late foot
             self._plan.hold(self._resting)
+
+    def _over_cop(self) -> FloatArray:
+        """(3,) VRP raised to the nominal CoM height above its CoP, in odom [m]."""
+        begin: FloatArray = self.vrp + self._height
+        begin[2] -= self._gravity / (self.omega * self._growth)
+        return begin
+
+    def _vary(self, durations: list[float], knots: FloatArray, points: list[tuple[float, float]]) -> None:
+        """Plan the CoM's height through points (time [s], height [m]) at the CoPs below (n, 3) knots, and ω with it."""
+        above = self._com_height
+        begin = (
+            above,
+            self.omega * (float(self.dcm[2]) - above),
+            self.omega * self._growth * (above - float(self.vrp[2])),
+        )
+        ground = knots[:, 2] - self._height[2]
+        self._frequency = VaryingFrequency(self._gravity, np.cumsum((0.0, *durations)), ground, points, begin)
+
+    def _between(self, poses: Sequence[SolePose]) -> FloatArray:
+        """(3,) VRP over the middle of both soles, in odom [m]."""
+        return 0.5 * (self._over(poses[0], 0) + self._over(poses[1], 1))
 
     def _over(self, sole: SolePose, foot: int) -> FloatArray:
         """(3,) VRP over the middle of a sole, in odom [m]."""
@@ -281,14 +326,14 @@ class Gait:
         rate = LOWERING * (self._lower - self._lowered)
         self._lowered += rate * dt
         self.dcm[2] -= self._lowered
-        self.vrp[2] -= self._lowered - rate / self._omega
+        self.vrp[2] -= self._lowered - rate / self._growth
 
     def _wait(self, before: FloatArray, dcm: FloatArray, dt: float) -> None:
         """Slow the DCM reference, last at ``before``, while the foot is late, and move the foot with the DCM."""
         guard, step, time = self._guard, self._step, self._time - self._transfer
         assert step is not None
         self.vrp[:2] = guard.late_vrp(before)[:2]
-        self.dcm[:2] = before[:2] + self._omega * dt * (before[:2] - self.vrp[:2])
+        self.dcm[:2] = before[:2] + self._growth * dt * (before[:2] - self.vrp[:2])
         foothold = guard.late_foothold(dcm)
         if self.foothold is not None and abs(foothold - self.foothold.position).max() > FOLLOWED:
             sole = SolePose(foothold, step.sole.rotation)

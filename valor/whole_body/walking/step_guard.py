@@ -58,6 +58,7 @@ class Situation:
     left: float  # T: until touchdown, as planned [s]
     least: float  # least permitted T [s]
     transfer: float  # T_d: transfer of weight after the step [s]
+    omega: float  # ω [1/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +79,9 @@ def transfer_gain(spread: float) -> float:
 class StepAdjuster:
     """Solves the QP of a step."""
 
-    def __init__(self, robot: RobotDescription, omega: float) -> None:
+    def __init__(self, robot: RobotDescription) -> None:
         assert robot.tables.footsteps is not None
-        self._reach, self._table, self._omega = robot.tables.footsteps, robot.read(Tuning).disturbance, omega
+        self._reach, self._table = robot.tables.footsteps, robot.read(Tuning).disturbance
         feet, inset = robot.tables.feet, robot.read(Tuning).whole_body.contact_inset
         share = self._table.cop_share
         # Usable reach of the CoP from the middle of each sole, forward and sideways [m].
@@ -127,7 +128,7 @@ class StepAdjuster:
 
     def adjust(self, situation: Situation) -> Adjustment | None:
         """Return the best foothold and time; None if numbers are not finite or the solver fails."""
-        step, stance, omega = situation.step, situation.stance, self._omega
+        step, stance, omega = situation.step, situation.stance, situation.omega
         yaw = rotation.yaw(stance.rotation)
         c, s = cos(yaw), sin(yaw)
         ox, oy, _ = stance.position.tolist()
@@ -196,7 +197,7 @@ class StepAdjuster:
     ) -> None:
         """Set the bounds of reach, foot speed, time and CoP; positions from the stance foot [m], ``growth``: e^{ωT}."""
         step, left = situation.step, situation.left
-        reach, table, omega = self._reach, self._table, self._omega
+        reach, table, omega = self._reach, self._table, situation.omega
         upper, lower, rows = self._upper, self._lower, self._rows
         side = 1.0 if step.foot == LEFT else -1.0
         way = table.foot_speed * left / PEAK
@@ -223,10 +224,10 @@ class StepAdjuster:
 class StepGuard:
     """Adjusts the step under way."""
 
-    def __init__(self, robot: RobotDescription, omega: float) -> None:
-        self._table, self._omega = robot.read(Tuning).disturbance, omega
+    def __init__(self, robot: RobotDescription) -> None:
+        self._table = robot.read(Tuning).disturbance
         enabled = self._table.adjust_steps and robot.tables.footsteps is not None
-        self._adjuster = StepAdjuster(robot, omega) if enabled else None
+        self._adjuster = StepAdjuster(robot) if enabled else None
         self.situation: Situation  # of the planned step
         self._touchdown = 0.0
         self._guards = False
@@ -241,13 +242,14 @@ class StepGuard:
         landing_dcm: FloatArray,
         touchdown: float,
         transfer: float,
+        omega: float,
     ) -> None:
         """Start a planned step, with the transfer of weight; ``touchdown`` is on the clock of ``update`` [s]."""
         self.adjusted = None
         self._touchdown = touchdown
         self._guards = self._adjuster is not None and step.adjustable > 0.0
         self.situation = Situation(
-            step, stance, stance, centre, np.zeros(3), landing_dcm, left=touchdown, least=0.0, transfer=transfer
+            step, stance, stance, centre, np.zeros(3), landing_dcm, touchdown, least=0.0, transfer=transfer, omega=omega
         )
 
     def update(self, time: float, lift_off: float, swing: SolePose, dcm_error: FloatArray) -> Adjustment | None:
@@ -287,7 +289,7 @@ class StepGuard:
             foothold, landing = self.adjusted.foothold, self.adjusted.landing_dcm
         if adjuster is None or not self._guards or not np.isfinite(dcm).all():
             return foothold
-        moved = (dcm - landing) / transfer_gain(self._omega * situation.transfer)
+        moved = (dcm - landing) / transfer_gain(situation.omega * situation.transfer)
         return adjuster.within_reach(step, situation.stance, foothold + moved)
 
     def cost(self, dcm_error: FloatArray) -> float:
@@ -300,6 +302,6 @@ class StepGuard:
     def reference(self, left: float) -> FloatArray:
         """Return (3,) DCM of the adjusted step [m], ``left`` [s] before touchdown."""
         assert self.adjusted is not None
-        centre = self.situation.centre
-        dcm: FloatArray = centre + (self.adjusted.landing_dcm - centre) * exp(-self._omega * max(left, 0.0))
+        centre, omega = self.situation.centre, self.situation.omega
+        dcm: FloatArray = centre + (self.adjusted.landing_dcm - centre) * exp(-omega * max(left, 0.0))
         return dcm
