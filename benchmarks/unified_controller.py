@@ -44,7 +44,8 @@ from valor.robot.motion_tables import REMOTE, WHOLE_BODY
 VRC, MOTION = "valor_ros_controller", "motion_manager"
 CONTROLLER = "balance_controller"
 PATIENCE = 60.0  # [s]
-BLEND = 1.0  # after an exchange of controllers [s]
+REST = 5.0  # after an exchange of controllers [s of robot time]
+ATTEMPTS = 20  # at an exchange, of half a second: a busy computer's commands come late
 QUEUE = 100_000  # messages
 
 
@@ -96,12 +97,11 @@ class Ears:
         self._statistics = {name: STATISTICS[name].subscriber(node) for name in (MOTION, VRC)}
 
     def hear(self, arrangement: str, seconds: float, joint: int, reference: FloatArray | None) -> Row:
-        """Measure an arrangement; ``joint``: one driven by force, which a command names first."""
+        """Measure for ``seconds`` of robot time; ``joint``: one driven by force, which a command names first."""
         self._drain()
         cpu: dict[str, list[float]] = {name: [] for name in self._statistics}
         heard: list[list[bifrost.Received[Any]]] = [[], [], [], []]
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        while not heard[0] or 1e-9 * (heard[0][-1].message.time - heard[0][0].message.time) < seconds:
             time.sleep(0.5)
             for messages, more in zip(heard, self._drain(), strict=True):
                 messages.extend(more)
@@ -143,6 +143,8 @@ def _row(
         applied = states[after].stamp
         age = (times[message.proprioceptor_sequence] - time) / period
         found.append((output - sent[time] - 1e9 * took, 1e9 * took, applied - output, applied - sent[time], 1e9 * age))
+    if not found:
+        raise ValorError(f"no Motor has a command of {arrangement}; expected one in control: is the computer too busy?")
     state, controller, command, loop, age = 1e-9 * np.array(found).T
     dcm = np.array([each.dcm_in_odom[:2] for each in made.values()])
     if reference is None:
@@ -202,11 +204,19 @@ def measure(options: argparse.Namespace, home: Path, rate: float) -> Iterator[Ro
         time.sleep(SETTLING)
         valorctl(instance, "mode", "stand")
         activate()
-        time.sleep(BLEND)
+        ears.hear("", REST, joint, None)
         before = ears.hear(f"Motion Manager, VRC {rate:g} Hz", options.seconds, joint, None)
         yield before
-        valorctl(instance, "controller", REMOTE)
-        time.sleep(BLEND)
+        for attempt in range(ATTEMPTS):
+            time.sleep(0.5)
+            try:
+                valorctl(instance, "controller", REMOTE)
+                break
+            except ValorError as error:
+                print(error)
+                if attempt == ATTEMPTS - 1:
+                    raise
+        ears.hear(f"VRC {rate:g} Hz", REST, joint, before.dcm_reference)
         yield ears.hear(f"VRC {rate:g} Hz", options.seconds, joint, before.dcm_reference)
         print(valorctl(instance, "controller"))
 
@@ -226,9 +236,10 @@ def main() -> None:
                 rows += measure(options, Path(home), rate)
             except ValorError as error:
                 sys.exit(str(error))
-    title = f"{options.robot.name} stands, {options.clock}: p50, p99 [ms]; CPU of {MOTION}, {VRC}; load {load:.1f}"
-    print(f"{os.cpu_count()} cores")
-    Console(width=180).print(table(title, COLUMNS, rows, left=["controller in"]))
+    console = Console(width=180)
+    computer = f"load {load:.1f}, {os.cpu_count()} cores"
+    title = f"{options.robot.name} stands, {options.clock}: p50, p99 [ms]; CPU of {MOTION}, {VRC}; {computer}"
+    console.print(table(title, COLUMNS, rows, left=["controller in"]))
 
 
 if __name__ == "__main__":
