@@ -40,8 +40,7 @@ _ALWAYS = (-math.inf, math.inf)
 
 _HEAD = """# Gallery
 
-Films that `valorctl` drew, at the robot's own speed unless they say otherwise, each over the commands that made it.
-`make gallery` makes them anew.
+Films of recordings, in real time unless stated; `make gallery` runs their commands.
 """
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 import pytest
+import yaml
 
 from harness.onnx_file import BIAS, affine
 from harness.places import REPOSITORY
-from harness.strangers import ROBOTS, facts, stranger
+from harness.strangers import PLAYGROUND, ROBOTS, facts, policy_of, stranger
 from tests.unit.policies.builds import ESCHER, robot_with, senses, weights, write
 from valor.common.document import Document
 from valor.common.errors import ConfigurationError
@@ -104,6 +105,16 @@ def test_policies_of_strangers_act_as_their_observations_are_defined(name: str, 
         (given,) = session.run(None, {"actor_obs": observed[None].astype(np.float32)})
         action = np.clip(given[0], -100, 100)
         assert policy.act(state).position == pytest.approx(zero + 0.25 * action, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["apollo", "berkeley_humanoid", "g1", "t1"])
+def test_policies_of_mujoco_playground_are_complete_with_their_sidecars(name: str, tmp_path: Path) -> None:
+    file = policy_of(name, PLAYGROUND, tmp_path)
+    robot = robot_with(sorted(yaml.safe_load(file.with_suffix(".yaml").read_text())["joints"]))
+    contract = load(file, robot)
+    target = Policy(contract, robot).act(senses(np.random.default_rng(4), robot))
+    assert np.isfinite(target.position).all() and target.position.shape == (len(robot.joints),)
+    assert contract.stiffness.min() > 0 and contract.gait is not None
 
 
 def test_the_dance_is_rejected_by_the_terms_that_are_not_known_here(tmp_path: Path) -> None:
