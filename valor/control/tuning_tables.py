@@ -19,7 +19,7 @@ class FallDetection(Table):
     # DCM outside the support polygon: ESCHER survives up to 1 cm inside; 3 cm outside it is lost [m].
     dcm_margin: Length[Annotated[float, Meta(gt=0, le=0.3)]] = 0.03
     # DCM outside the polygon after the step under way: the next step may save it [m].
-    dcm_margin_stepping: Length[Annotated[float, Meta(gt=0, le=0.5)]] = 0.1
+    dcm_margin_stepping: Length[Annotated[float, Meta(gt=0, le=0.5)]] = 0.2
     dcm_duration: Time[Annotated[float, Meta(ge=0, le=0.5)]] = 0.02  # duration of a larger excess [s]
 
 
@@ -72,19 +72,28 @@ class Disturbance(Table):
     final: Time[Positive] = 0.06  # time before touchdown without changes [s]
     shortest_swing: Time[Positive] = 0.25  # [s]
     longest_delay: Time[NonNegative] = 0.15  # of touchdown [s]
-    foot_speed: Speed[Positive] = 3.0  # largest of a swinging foot [m/s]
+    foot_speed: Speed[Positive] = 4.0  # largest of a swinging foot [m/s]
     clearance: Length[NonNegative] = 0.01  # between the feet, added to the least width [m]
-    max_width: Length[Positive] = 0.6  # of an adjusted step [m]
-    max_backward: Length[Positive] = 0.5  # likewise [m]
+    max_width: Length[Positive] = 0.8  # of an adjusted step [m]
+    max_backward: Length[Positive] = 0.6  # likewise [m]
     diagonal_width: Length[Positive] = 0.3  # |forward| + width is at most this plus the longest step [m]
     giving: Length[NonNegative] = 0.04  # shift of the VRP over a stance sole for the DCM error of the last step [m]
     step_when_standing: bool = True  # whether to step if fixed feet cannot hold the robot
     edge_margin: Sole[float] = 0.03  # DCM inside the support polygon, below which it steps [m]
     edge_time: Time[NonNegative] = 0.006  # duration that near the edge [s]
+    look_ahead: Time[NonNegative] = 0.1  # over which the DCM is taken to go on at its velocity [s]
+    edge_ahead: Length[NonNegative] = 0.05  # largest distance outside the polygon where it then is, without a step [m]
+    pushed_speed: Speed[Positive] = 0.6  # of the DCM, slowest that counts: a push, no noise [m/s]
+    speed_time: Time[Positive] = 0.004  # over which it is measured; less than edge_time: a jump is no push [s]
     calm: Length[Positive] = 0.04  # DCM error below which it may step again [m]
-    recovery_transfer_duration: Time[Positive] = 0.05  # of weight, of such steps [s]
+    recovery_transfer_duration: Time[Positive] = 0.02  # of weight, of such steps [s]
     recovery_swing_duration: Time[Positive] = 0.3  # [s]
     recovery_swing_height: Length[Positive] = 0.04  # [m]
+    cross_apart: Length[Positive] = 0.27  # of soles, one behind the other, when a leg crosses behind [m]
+    cross_farther: Time[NonNegative] = 0.08  # more of it per speed of the DCM backward [s]
+    cross_over: Length[NonNegative] = 0.25  # largest way across the stance foot [m]
+    recovery_foot_weight: Positive = 60.0  # of the swinging foot's task
+    recovered: Length[Positive] = 0.05  # largest DCM error with which such steps end [m]
 
 
 class GainLimits(Table):

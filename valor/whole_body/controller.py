@@ -80,7 +80,8 @@ class WholeBodyController(Controller):
         self.weights = TaskWeights(nominal_weights(table), robot.tables.weight_factor, robot.control_period)
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * gravity
-        self._swung: int | None = None  # swing foot in the objective
+        self._swung: tuple[int, float] | None = None  # swing foot in the objective, and its weight
+        self._foot_weights = robot.tables.walking.foot_weight, robot.read(Tuning).disturbance.recovery_foot_weight
         self.may_recover = True  # whether the robot may step automatically to keep its balance
         self.watch = BalanceWatch(robot)  # trigger of such steps, with its reason
         self._recovers = robot.read(Tuning).disturbance.step_when_standing
@@ -134,6 +135,7 @@ class WholeBodyController(Controller):
         self.weights.reset()
         self._weigh(None)
         self._gait.stop()
+        self.watch.reset()
         self._desired.reset(state)
         self._set_points.reset(position)
         self._effort = np.clip(state.joint_effort, -self._effort_limit, self._effort_limit)
@@ -158,9 +160,11 @@ class WholeBodyController(Controller):
         self.pelvis.advance(1e-9 * state.time, dt)
         changed = self.weights.advance()
         self._step(state, request.steps, dt)
-        if changed or self._gait.swinging != self._swung or reference.frozen is not self._frozen:
+        swinging = self._gait.swinging
+        swing = None if swinging is None else (swinging, self._foot_weights[self.recovering])
+        if changed or swing != self._swung or reference.frozen is not self._frozen:
             self._frozen = reference.frozen
-            self._weigh(self._gait.swinging)
+            self._weigh(swing)
         desired.update(state, self._gait, reference, dt)
         try:
             bounds = self._bounds(state)
@@ -176,9 +180,10 @@ class WholeBodyController(Controller):
 
     def _step(self, state: RobotState, steps: StepSource | None, dt: float) -> None:
         gait, reference = self._gait, self._desired
+        dcm = self._recovery.dcm = state.dcm_in_odom - reference.shift
         if self._recovers and self.may_recover and gait.resting and self.watch.update(state, reference.dcm):
             self.pelvis.go_home()
-            gait.recover(state, self._recovery, state.dcm_in_odom - reference.shift, reference.centre_vrp)
+            gait.recover(state, self._recovery, dcm, reference.centre_vrp, self.watch.velocity)
         if gait.active:
             gait.update(state, reference.shift, dt)
         elif steps is not None and self.pelvis.resting:
@@ -196,10 +201,10 @@ class WholeBodyController(Controller):
             self._stiffness = np.where(self._force, 0.0, asked.stiffness)
             self._damping = np.where(self._force, 0.0, asked.damping)
 
-    def _weigh(self, swinging: int | None) -> None:
-        self._swung = swinging
+    def _weigh(self, swing: tuple[int, float] | None) -> None:
+        self._swung = swing
         frozen = None if self._frozen is None else self._frozen[self._joints.places]
-        self._objective.weigh(dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True)), swinging, frozen)
+        self._objective.weigh(dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True)), swing, frozen)
 
     def _bounds(self, state: RobotState) -> Bounds:
         own, desired, n = self._joint_bounds, self._desired, self._joints.count

@@ -68,8 +68,8 @@ class Task(ABC):
     def acceleration(self, period: Period, velocity: Expression, pose: Expression) -> Expression:
         """Return (rows,) a, from (rows,) velocity and (size,) pose of the motion in odom."""
 
-    def weigh(self, weight: float, swinging: int | None, out: FloatArray) -> None:
-        """Write the weights of its rows to (rows,) ``out``; ``swinging`` is the foot in the air, or None."""
+    def weigh(self, weight: float, swing: tuple[int, float] | None, out: FloatArray) -> None:
+        """Write the weights of its rows to (rows,) ``out``; ``swing``: the foot in the air and its weight, or None."""
         out[:] = weight
 
 
@@ -142,9 +142,10 @@ class FootMotion(Task):
         standing   a = −k_d·v + hold
         swinging   a = a_ref + k_p·(x_ref − x) + k_d·(v_ref − v)
 
-    with weight and gains of the ``walking`` table for the swinging foot. The stance is held against creep: model errors
-    make the legs push the feet apart, and over an hour small creep becomes a split. The encoders measure it: each foot
-    is drawn back by half of the change of distance and relative yaw. The position of both together is not controlled.
+    with a weight of its own and gains of the ``walking`` table for the swinging foot. The stance is held against creep:
+    model errors make the legs push the feet apart, and over an hour small creep becomes a split. The encoders measure
+    it: each foot is drawn back by half of the change of distance and relative yaw. The position of both together is not
+    controlled.
     """
 
     name = FEET
@@ -163,10 +164,11 @@ class FootMotion(Task):
             wanted[rows] = ca.if_else(period.swinging[foot], self._along(foot, period, velocity[rows]), wanted[rows])
         return wanted
 
-    def weigh(self, weight: float, swinging: int | None, out: FloatArray) -> None:
+    def weigh(self, weight: float, swing: tuple[int, float] | None, out: FloatArray) -> None:
         out[:] = weight
-        if swinging is not None:
-            out[sole_rows(swinging)] = self.robot.tables.walking.foot_weight
+        if swing is not None:
+            foot, own = swing
+            out[sole_rows(foot)] = own
 
     def _along(self, foot: int, period: Period, velocity: Expression) -> Expression:
         """(6,) acceleration of the swinging sole."""

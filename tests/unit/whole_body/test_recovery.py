@@ -59,6 +59,18 @@ def test_a_push_is_answered_by_steps_and_the_robot_stands_again(direction: str, 
     np.testing.assert_allclose(apart, (0.0, robot.tables.walking.step_width, 0.0), atol=0.03)
 
 
+def test_a_push_aside_is_answered_by_a_step_across_behind_the_other_foot() -> None:
+    loop = standing(load_robot(), 0)
+    mass = float(loop.plant.model.mj.body_subtreemass[loop.plant.model.body(loop.robot.tables.base)])
+    loop.plant.push(np.array((0.0, 0.75 * mass, 0.0)), 0.1)
+    crossed, until = False, loop.time + 6.0
+    while loop.fall is None and loop.time < until and not (crossed and not loop.controller.recovering):
+        loop.step()
+        ahead, aside, _ = loop.state.sole_positions_in_odom[RIGHT] - loop.state.sole_positions_in_odom[LEFT]
+        crossed |= bool(loop.state.contacts.all()) and aside > 0.0 and ahead < -0.2
+    assert loop.fall is None and crossed and loop.controller.at_rest and loop.command.qp_failures == 0
+
+
 def test_pushes_one_after_another_are_survived_with_feet_fixed() -> None:
     """Each of 80 % of what a point mass could stand: the robot must be wholly at rest again before the next."""
     loop = standing(load_robot(disturbance={"step_when_standing": False}), 0)
@@ -126,6 +138,12 @@ def test_the_watch_reports_once_and_again_only_after_the_dcm_was_well_inside() -
         return count
 
     assert reported(edge - table.edge_margin - 0.01, 100) == 0
+    assert reported(0.0, 10) == 0  # a jump of the estimate
+    for forward in np.arange(1, 6) * 0.002:  # 1 m/s, from the middle
+        assert reported(forward, 1) == 0
+    assert reported(0.0, 10) == 0
+    assert sum(reported(forward, 1) for forward in np.arange(1, 21) * 0.004) == 1  # 2 m/s: it will be outside
+    assert reported(0.0, 10) == 0
     assert reported(edge - 0.005, 2) == 0  # that may be noise
     assert reported(0.0, 1) == 0 and reported(edge - 0.005, 100) == 1
     assert "inside the edge of the support polygon" in watch.reason

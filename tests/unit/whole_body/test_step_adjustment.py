@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from harness.closed_loop import load_robot
 from valor.control.steps import Step
 from valor.control.tuning_tables import Tuning
-from valor.robot.footsteps import LEFT, StepRule
+from valor.robot.footsteps import LEFT, Region, StepRule
 from valor.whole_body.walking.footsteps import level_pose
 from valor.whole_body.walking.step_guard import Adjustment, Situation, StepAdjuster, StepGuard
 
@@ -95,7 +95,7 @@ def test_whatever_the_error_the_step_is_within_reach(
     step = Step(0, foot, sole, 0.06, 0.6, TRANSFER)
     slack = 1e-5 * (1.0 + max(map(abs, error)))  # the solver's, of a problem with such numbers
     wider = msgspec.structs.replace(
-        limits, min_width=limits.min_width - slack, max_width=limits.max_width + slack,
+        limits, min_width=limits.min_width - slack, max_width=table.max_width + slack,
         max_forward=limits.max_forward + slack, max_backward=max(limits.max_backward, table.max_backward) + slack,
     )  # fmt: skip
     assert not StepRule(wider, ROBOT.tables.feet).reach(step, asked.stance)
@@ -110,6 +110,39 @@ def test_a_plans_step_moves_no_further_than_it_may(
     asked = situation(foot, (0.15, 0.2), error, left, adjustable=bound)
     moved = adjust(asked).foothold - asked.step.sole.position
     assert np.abs(moved).max() <= bound + 1e-5
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+@pytest.mark.parametrize("error", [(0.0, 0.0), (0.5, 0.5), (-0.5, -0.5)])
+def test_a_step_comes_down_in_its_region(foot: int, error: tuple[float, float]) -> None:
+    region = Region(forward=(-0.5, -0.3), outward=(-0.2, 0.0))
+    asked = situation(foot, region.nearest(0.0, 0.2), error, 0.3)
+    ahead, left, _ = adjust(replace(asked, step=replace(asked.step, region=region))).foothold - asked.stance.position
+    assert -0.5 - 1e-5 < ahead < -0.3 + 1e-5
+    assert -0.2 - 1e-5 < (left if foot == LEFT else -left) < 1e-5
+
+
+@pytest.mark.parametrize("foot", [0, 1])
+def test_a_step_costs_what_the_next_one_cannot_mend(foot: int) -> None:
+    """An error outwards is mended by a wide step, one inwards by that of the other foot."""
+    side = 1.0 if foot == LEFT else -1.0
+
+    def costs(error: float) -> tuple[float, float]:
+        first = situation(foot, (0.0, 0.2), (0.0, side * error), 0.32, least=0.27)
+        second = situation(1 - foot, (0.0, 0.2), (0.0, 0.0), 0.3, least=0.25)
+        moved = first.step.sole.position - first.stance.position
+        second = replace(
+            second, step=replace(second.step, sole=first.stance), stance=first.step.sole, swing=first.stance,
+            centre=second.centre + moved, landing_dcm=second.landing_dcm + moved,
+        )  # fmt: skip
+        return adjust(first).cost, ADJUSTER.cost_of_two(first, second)
+
+    alone, both = costs(-0.07)
+    assert both < 0.3 * alone
+    alone, both = costs(-0.09)
+    assert both > 0.8 * alone  # too much for the other foot, too
+    alone, both = costs(0.05)
+    assert both == pytest.approx(alone, rel=0.1)
 
 
 def test_numbers_that_are_not_finite_change_nothing() -> None:

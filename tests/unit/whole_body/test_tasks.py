@@ -204,11 +204,11 @@ def test_posture_is_followed_no_faster_than_allowed(robot: RobotDescription, mod
 
 # --- weights ----------------------------------------------------------------------------------------------------------
 def test_the_objective_weighs_each_task_by_its_own_weight(robot: RobotDescription, model: Model) -> None:
-    """H is the sum of w·JᵀJ; the swinging foot has the weight of the walking table."""
+    """H is the sum of w·JᵀJ; the swinging foot has a weight of its own."""
     dynamics = next(iter(random_states(model, 1, seed=3))).evaluate(model)
     objective = Objective([task(robot) for task in TASKS], motions(model), dynamics.joints)
     weights = {name: 1.0 + i for i, name in enumerate(WEIGHTS)}
-    objective.weigh(weights, 1)
+    objective.weigh(weights, (1, robot.tables.walking.foot_weight))
     objective.update(dynamics, np.zeros(dynamics.drift.size), np.zeros(dynamics.joints.count))
     expected = REGULARIZATION * np.eye(dynamics.joints.count + 6)
     for task in TASKS:

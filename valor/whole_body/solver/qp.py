@@ -59,10 +59,12 @@ class Objective:
         self._weighted = np.zeros((rows, nv))
         self._wanted = np.zeros(rows)
 
-    def weigh(self, weights: Mapping[str, float], swinging: int | None, frozen: Joints | None = None) -> None:
-        """Set weights by name, the swing foot (0 left, 1 right; None: neither), and a mask (nj,) of frozen joints."""
+    def weigh(
+        self, weights: Mapping[str, float], swing: tuple[int, float] | None, frozen: Joints | None = None
+    ) -> None:
+        """Set weights by name, the swing foot and its weight (None: neither), and a mask (nj,) of frozen joints."""
         for task, rows in self._tasks:
-            task.weigh(weights[task.weight], swinging, self._weight[rows])
+            task.weigh(weights[task.weight], swing, self._weight[rows])
         for weight, group in self._groups.items():
             self._posture_weight[group] = weights[weight]
         if frozen is not None:

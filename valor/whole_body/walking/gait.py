@@ -18,14 +18,14 @@ from valor.control.state import RobotState
 from valor.control.steps import SolePose, Step, StepSource
 from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
-from valor.robot.footsteps import LEFT, RIGHT
+from valor.robot.footsteps import LEFT, RIGHT, Region
 from valor.robot.motion_tables import Walking
 from valor.robot.size import ESCHER
 from valor.whole_body.balance.reference import at_frequency
 from valor.whole_body.walking.dcm_plan import DcmPlan
 from valor.whole_body.walking.footsteps import RecoverySteps
 from valor.whole_body.walking.frequency import NaturalFrequency, VaryingFrequency
-from valor.whole_body.walking.step_guard import StepGuard
+from valor.whole_body.walking.step_guard import Situation, StepGuard
 from valor.whole_body.walking.swing import SwingPoint, SwingTrajectory
 
 AHEAD = 3  # Steps planned
@@ -59,13 +59,14 @@ class Gait:
         self._resting = 0  # piece of the plan with the VRP over the next stance foot
         self._early = 0.0  # by how much the last foot was early [s]
         self._landed: int | None = None
+        self._urgent = False  # whether an early foot is followed by the next at once
         self._sways = True  # whether the robot sways before the first step
         self._earliest = 0.0  # fraction of the swing before which landing is ignored
         size = robot.tables.size.leg / ESCHER.leg
         self._hips_ahead, self._most_lowered = size * HIPS_AHEAD, size * MOST_LOWERED
         # Feet wider apart than ESCHER's are below wider hips: no leg leans for that.
         self._wide = max(0.0, self._table.step_width - size * Walking().step_width)
-        self._giving = robot.read(Tuning).disturbance.giving
+        self._disturbance = robot.read(Tuning).disturbance
         self._planned_lowering = 0.0  # of the CoM over the stance foot [m]
         self._lower = self._lowered = 0.0  # additional target and actual lowering for an adjusted step [m]
         self.active = False  # whether it steps; the other attributes are valid only then
@@ -88,21 +89,36 @@ class Gait:
         self.dcm, self.vrp, self._com_height = dcm, vrp, float(dcm[2])
         self._early, self._landed = 0.0, None
         self.source = source
-        self._sways = not urgent
+        self._sways, self._urgent = not urgent, urgent
         self._begin_transfer(state, steps, 0.0 if urgent else self._table.first_transfer_duration)
         return True
 
-    def recover(self, state: RobotState, source: RecoverySteps, dcm: FloatArray, vrp: FloatArray) -> None:
-        """Start stepping at once with the cheaper foot; (3,) ``dcm`` measured, ``vrp`` reference, nominal arms [m]."""
+    def recover(
+        self, state: RobotState, source: RecoverySteps, dcm: FloatArray, vrp: FloatArray, velocity: FloatArray
+    ) -> None:
+        """Start stepping at once, with the foot and into the region for which this step and the next cost least.
+
+        (3,) ``dcm`` and its ``velocity`` measured, ``vrp`` reference, for nominal arms [m, m/s].
+        """
         if self.active:
             self.source.rested()
+        soles, table = sole_poses(state), self._disturbance
+        pushed = dcm + table.look_ahead * velocity  # where the push, if it goes on, will have moved it
 
-        def begin(foot: int) -> float:
-            source.lead(foot)
+        def begin(strategy: tuple[int, Region | None]) -> float:
+            source.lead(*strategy)
+            steps = source.upcoming(soles)
             self.start(state, source, dcm, vrp, urgent=True)
-            return self._guard.cost(dcm - self._plan.at(0.0)[0])
+            landing, centre = self._plan.at_end(self._resting + 2)
+            second = Situation(
+                steps[1], steps[0].sole, soles[steps[1].foot], centre, np.zeros(3), landing,
+                steps[1].swing_duration, least=table.shortest_swing, transfer=steps[2].transfer_duration,
+                omega=self._guard.situation.omega,
+            )  # fmt: skip
+            return self._guard.cost(pushed - self._plan.at(0.0)[0], soles[steps[0].foot], second)
 
-        begin(min((LEFT, RIGHT), key=begin))
+        backward = -float(soles[LEFT].rotation[:, 0] @ velocity)
+        begin(min(source.strategies(backward), key=begin))
 
     def catch(self, state: RobotState, source: RecoverySteps, foot: int, dcm: FloatArray) -> None:
         """Start with a foot in the air, and lower it where the DCM needs it; ``dcm`` (3,) as in ``recover``."""
@@ -112,7 +128,7 @@ class Gait:
         step = replace(step, transfer_duration=SHORTEST_PIECE)  # the weight is over the other foot already
         self.active, self.source = True, source
         self.dcm, self.vrp, self._com_height = dcm, self._over(soles[1 - foot], 1 - foot), float(dcm[2])
-        self._early, self._landed, self._sways = 0.0, None, False
+        self._early, self._landed, self._sways, self._urgent = 0.0, None, False, True
         self._begin_transfer(state, (step, *others))
         self._time = self._transfer
         self._begin_swing(state, step)
@@ -234,7 +250,7 @@ class Gait:
         if self._sways or not steps:
             giving, most = sway, inf
         else:  # over the next stance within its sole; later steps correct the rest
-            giving, most = over_stance, 0.0 if self._landed is None else self._giving
+            giving, most = over_stance, 0.0 if self._landed is None else self._disturbance.giving
         dcm = self.dcm
         if self._varies:
             self._vary(durations, np.array(knots), [*points, (sum(durations), rest[2] - lowered)])
@@ -297,6 +313,8 @@ class Gait:
             descent=table.descent,
             late_descent=table.late_descent,
             toe=self._toes[step.foot],
+            region=step.region,
+            heading=self._guard.situation.stance.rotation[:2, 0],
         )
 
     def _give_way(self, state: RobotState, dcm: FloatArray, step: Step) -> None:
@@ -355,7 +373,7 @@ class Gait:
         self.source.ended(step)
         self._landed, self.swinging, self._sways = step.foot, None, False
         on_time = self._transfer + step.swing_duration
-        self._early = max(0.0, on_time - self._time)
+        self._early = 0.0 if self._urgent else max(0.0, on_time - self._time)
         self._begin_transfer(state, self.source.upcoming(sole_poses(state)))
 
     def _feet(self) -> None:

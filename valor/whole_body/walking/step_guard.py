@@ -38,6 +38,7 @@ from valor.control.steps import SolePose, Step
 from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT
+from valor.whole_body.walking.regions import Regions
 
 UNBOUNDED = 1e30  # No bound, for the solver
 PEAK = 1.875  # Ratio of peak to mean speed of a minimum-jerk motion
@@ -68,6 +69,7 @@ class Adjustment:
     foothold: FloatArray  # (3,) of the sole in odom [m]
     left: float  # until touchdown [s]
     landing_dcm: FloatArray  # (3,) DCM at touchdown for the foothold [m]
+    offset: FloatArray  # (3,) b, DCM error left to the next step [m]
     cost: float  # cost of the QP [1]
 
 
@@ -90,6 +92,7 @@ class StepAdjuster:
             for foot in (feet.left, feet.right)
         ]
         self._sole_length = feet.left.toe - feet.left.heel
+        self._beside = Regions(robot).beside
         self._parameters = np.zeros(PARAMETERS)
         self._hessian = np.zeros((UNKNOWNS, UNKNOWNS))
         self._gradient = np.zeros(UNKNOWNS)
@@ -164,7 +167,32 @@ class StepAdjuster:
         mx, my = c * (x - nx) - s * (y - ny), s * (x - nx) + c * (y - ny)
         foothold = np.array((ox + c * x - s * y, oy + s * x + c * y, step.sole.position[2]))
         reached = landing + alpha * np.array((mx, my, 0.0))
-        return Adjustment(foothold, left + log(ratio) / omega, reached, cost)
+        p = self._parameters
+        bx, by = ((p[4:6] * ratio + z[3:5] - p[2:4] - alpha * (z[:2] - p[:2])) / p[8]).tolist()
+        offset = np.array((c * bx - s * by, s * bx + c * by, 0.0))
+        return Adjustment(foothold, left + log(ratio) / omega, reached, offset, cost)
+
+    def cost_of_two(self, first: Situation, second: Situation) -> float:
+        """Return the least cost of a step and the next, which takes over the DCM error left; inf without solution.
+
+        ``second`` is as planned: it moves with the first foothold.
+        """
+        found = self.adjust(first)
+        if found is None:
+            return inf
+        moved, step, stance = found.foothold - first.step.sole.position, second.step, second.stance
+        then = self.adjust(
+            replace(
+                second,
+                step=replace(step, sole=SolePose(step.sole.position + moved, step.sole.rotation)),
+                stance=SolePose(stance.position + moved, stance.rotation),
+                centre=second.centre + moved,
+                landing_dcm=second.landing_dcm + moved,
+                dcm_error=found.offset,
+            )
+        )
+        left = self._table.offset_weight * float(found.offset @ found.offset)
+        return inf if then is None else found.cost - left + then.cost
 
     def within_reach(self, step: Step, stance: SolePose, foothold: FloatArray) -> FloatArray:
         """Return (3,) the permitted foothold nearest to ``foothold``, at the planned height, in odom [m]."""
@@ -179,13 +207,10 @@ class StepAdjuster:
 
     def _box(self, step: Step, stance: SolePose, planned: Sequence[float]) -> list[tuple[float, float]]:
         """Bounds forward and left of the stance foot of a step with a planned position there [m]."""
-        reach, table = self._reach, self._table
+        region = step.region or self._beside
         turn = abs(rotation.yaw(step.sole.rotation @ stance.rotation.T))
-        near = reach.min_width + table.clearance + 0.5 * self._sole_length * sin(min(turn, 1.0)), table.max_width
-        boxes = (
-            (-max(reach.max_backward, table.max_backward), reach.max_forward),
-            near if step.foot == LEFT else (-near[1], -near[0]),
-        )
+        near, far = region.outward[0] + 0.5 * self._sole_length * sin(min(turn, 1.0)), region.outward[1]
+        boxes = region.forward, (near, far) if step.foot == LEFT else (-far, -near)
         most = step.adjustable
         ends = [
             (max(low, place - most), min(high, place + most)) for (low, high), place in zip(boxes, planned, strict=True)
@@ -292,12 +317,12 @@ class StepGuard:
         moved = (dcm - landing) / transfer_gain(situation.omega * situation.transfer)
         return adjuster.within_reach(step, situation.stance, foothold + moved)
 
-    def cost(self, dcm_error: FloatArray) -> float:
-        """Return the QP's cost of the step at its start, inf if not adjustable; ``dcm_error`` (3,) as in ``update``."""
+    def cost(self, dcm_error: FloatArray, swing: SolePose, second: Situation) -> float:
+        """Return the cost of the step at its start and of a second, inf if not adjustable; arguments as elsewhere."""
         if self._adjuster is None or not self._guards:
             return inf
-        found = self._adjuster.adjust(replace(self.situation, dcm_error=dcm_error, least=self._touchdown))
-        return inf if found is None else found.cost
+        first = replace(self.situation, swing=swing, dcm_error=dcm_error, least=self._touchdown)
+        return self._adjuster.cost_of_two(first, second)
 
     def reference(self, left: float) -> FloatArray:
         """Return (3,) DCM of the adjusted step [m], ``left`` [s] before touchdown."""
