@@ -1,29 +1,41 @@
 """Pushes of 0.1 s at the chest: feet fixed, stepping allowed, walking. Tables for ``control.py``.
 
-Every push begins from a fork of one process that stands or walks: what comes before it is simulated once.
+Every push begins from a fork of one process that stands or walks: what comes before it is simulated once. Run by
+itself, it prints what a standing robot survives in every direction, and draws it; a JSON file that is there goes on:
+
+    .venv/bin/python -m benchmarks.pushes --directions 16 --seeds 3 --json build/pushes.json
+        [--robot NAME] [--profile hardware] [--step 2.5] [--before FILE] [--picture docs/pictures/push_rose.png]
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ParamSpec, TypeVar
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
 
 import numpy as np
 
 from harness.closed_loop import ClosedLoop, load_robot
+from valor.analysis import style
 from valor.control.kinematics import UpperBodyKinematics, natural_frequency
 from valor.robot.description import RobotDescription
 from valor.robot.legs import knees
 from valor.robot.model import controller_model
+from valor.robot.size import ESCHER
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
 DIRECTIONS = {"forward": (1, 0), "back": (-1, 0), "left": (0, 1), "right": (0, -1)}
 DURATION = 0.1  # [s]
 RESOLUTION = 0.8  # of the bisection with fixed feet [N·s]
-LADDER = (30.0, 35.0, 40.0, 45.0, 50.0, 55.0, 60.0, 65.0, 70.0)  # with steps, until it falls [N·s]
+LADDER = tuple(np.arange(30.0, 121.0, 5.0).tolist())  # with steps, until it falls [N·s]
+RUNG = 2.5  # of the ladder for the rose, from the same first one [N·s]
 AT_REST = 0.01  # DCM error of a robot that has got over it [m] …
 SETTLED = 1.5  # … so long after the push, at the earliest [s]
 SPEED = 0.3  # of the walk [m/s]
@@ -70,7 +82,7 @@ def forked(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 def push(
-    loop: ClosedLoop, direction: tuple[int, int], impulse: float, seconds: float, walk: VelocitySteps | None = None
+    loop: ClosedLoop, direction: tuple[float, float], impulse: float, seconds: float, walk: VelocitySteps | None = None
 ) -> Outcome:
     """Push the robot [N·s] and go on until it falls, stands at rest, or for so long; walking on if it walks."""
     began, swinging, steps, saturated = loop.time, None, 0, 0
@@ -130,10 +142,12 @@ def most_fixed(loop: ClosedLoop, direction: tuple[int, int], bound: float) -> fl
     return low
 
 
-def most_stepping(loop: ClosedLoop, direction: tuple[int, int]) -> tuple[float, Outcome | None, Outcome | None]:
-    """The largest push of ``LADDER`` below the first fall [N·s], its outcome, and that of the last push."""
+def most_stepping(
+    loop: ClosedLoop, direction: tuple[float, float], ladder: Sequence[float] = LADDER
+) -> tuple[float, Outcome | None, Outcome | None]:
+    """The largest push of a ladder below the first fall [N·s], its outcome, and that of the last push."""
     best, most, last = None, 0.0, None
-    for impulse in LADDER:
+    for impulse in ladder:
         last = forked(push, loop, direction, impulse, 6.0)
         if not last.survived:
             break
@@ -206,6 +220,56 @@ def walking(name: str, profile: str, seeds: int) -> Iterator[str]:
             yield f"| {impulse:.0f} | {seed} | {len(good)} of {PHASES} | {figures(worst)} | {fell or '–'} |"
 
 
+def rose(results: Mapping[str, Mapping[str, Sequence[float]]], robot: str, picture: Path) -> None:
+    """Draw the largest push of the worst seed by direction, forward up [N·s/kg]; the last result is today's."""
+    drawn = style.figure(5.2, 5.4)
+    axes: Any = drawn.add_subplot(projection="polar")
+    axes.set_theta_zero_location("N")
+    for i, (name, headings) in enumerate(results.items()):
+        angles = sorted(map(float, headings))
+        least = [min(headings[f"{angle:g}"]) for angle in angles]
+        last = i == len(results) - 1
+        color, dashes = (style.MEASURED, "-") if last else (style.GREY, style.DASHES)
+        axes.plot(np.radians([*angles, angles[0]]), [*least, least[0]], color=color, linestyle=dashes, label=name)
+    axes.set_ylim(0.0)
+    axes.tick_params(colors=style.GREY, labelsize=8.5)
+    axes.set_title(f"{robot}: largest push survived [N·s/kg]", fontsize=10, color=style.INK)
+    if len(results) > 1:
+        axes.legend(loc="lower left", bbox_to_anchor=(-0.1, -0.1), fontsize=8.5, frameon=False)
+    drawn.savefig(picture)
+
+
+def main() -> None:
+    """Run what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robot", default="escher")
+    parser.add_argument("--profile", default="hardware")
+    parser.add_argument("--directions", type=int, default=16)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--step", type=float, default=RUNG, help="between rungs, for a mass of 75.9 kg [N·s]")
+    parser.add_argument("--json", type=Path, required=True, help="results by heading, 0 forward, 90 left [N·s/kg]")
+    parser.add_argument("--before", type=Path, help="other results, to be drawn as well")
+    parser.add_argument("--picture", type=Path)
+    options = parser.parse_args()
+    robot = load_robot(options.robot)
+    mass = robot.tables.size.mass
+    ladder = (mass / ESCHER.mass * np.arange(LADDER[0], LADDER[-1], options.step)).tolist()
+    found: dict[str, list[float]] = json.loads(options.json.read_text()) if options.json.exists() else {}
+    loops = [standing(robot, options.profile, seed) for seed in range(options.seeds)]
+    print("| heading [°] | survived, by seed [N·s] | least [N·s/kg] |\n|---|---|---|")
+    for k in range(options.directions):
+        heading = 360.0 * k / options.directions
+        c, s = np.cos(np.radians(heading)), np.sin(np.radians(heading))
+        done = found.setdefault(f"{heading:g}", [])
+        for loop in loops[len(done) :]:
+            done.append(most_stepping(loop, (c, s), ladder)[0] / mass)
+            options.json.write_text(json.dumps(found))
+        print(f"| {heading:g} | {', '.join(f'{mass * j:.1f}' for j in done)} | {min(done):.2f} |", flush=True)
+    if options.picture is not None:
+        before = {"before": json.loads(options.before.read_text())} if options.before else {}
+        rose({**before, "now": found}, options.robot.upper(), options.picture)
+
+
 FIGURES = "steps | DCM error RMS [mm] | smallest knee angle [rad] | torques at their limit | QP failures"
 
 
@@ -217,3 +281,7 @@ def figures(outcome: Outcome | None) -> str:
         f"{outcome.steps} | {1e3 * outcome.dcm_error:.0f} | {outcome.knee:.2f} | {outcome.saturated} "
         f"| {outcome.failures}"
     )
+
+
+if __name__ == "__main__":
+    main()

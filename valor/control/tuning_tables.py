@@ -19,7 +19,7 @@ class FallDetection(Table):
     # DCM outside the support polygon: ESCHER survives up to 1 cm inside; 3 cm outside it is lost [m].
     dcm_margin: Length[Annotated[float, Meta(gt=0, le=0.3)]] = 0.03
     # DCM outside the polygon after the step under way: the next step may save it [m].
-    dcm_margin_stepping: Length[Annotated[float, Meta(gt=0, le=0.5)]] = 0.2
+    dcm_margin_stepping: Length[Annotated[float, Meta(gt=0, le=0.5)]] = 0.18
     dcm_duration: Time[Annotated[float, Meta(ge=0, le=0.5)]] = 0.02  # duration of a larger excess [s]
 
 

@@ -1,6 +1,7 @@
 """The DCM's plan, swinging feet and steps on line: mathematics against numerical integration and limits."""
 
 from math import cos
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,7 +84,7 @@ def test_a_plan_on_hold_lets_the_dcm_go_on_from_where_the_vrp_rests() -> None:
 def swing_to(height: float, **changes: float) -> SwingTrajectory:
     """A swing of the left foot to a place so high [m], with a turn."""
     target = SolePose(np.array([0.4, 0.12, height]), rotation.yaw_matrix(0.3))
-    values = {"height": 0.06, "duration": 0.6, "depth": 0.003, "descent": 0.05} | changes
+    values: dict[str, Any] = {"height": 0.06, "duration": 0.6, "depth": 0.003, "descent": 0.05} | changes
     return SwingTrajectory(FEET[0], target, **values)
 
 
