@@ -158,6 +158,14 @@ class Page:
     def tab(self, name: str) -> None:
         self.view.get_by_role("tab", name=name).click()
 
+    def select(self, label: str, option: str) -> None:
+        """Choose from a list."""
+        self.view.get_by_label(label, exact=True).first.click()
+        self.view.get_by_role("option", name=option, exact=True).click()
+
+    def selected(self, label: str) -> str:
+        return str(self.view.get_by_label(label, exact=True).first.input_value())
+
     def show_goal(self, side: str, *, shown: bool = True) -> None:
         """Of a hand, where the hand is; or hide it."""
         self.view.get_by_text(f"{side} hand's goal").click()

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import bifrost
+from harness.places import ROBOTS
 from harness.system import RosClient, System, running
 from harness.waiting import wait_until
 from tests.integration.shared import left_standing
@@ -36,7 +37,9 @@ def port() -> int:
 def system(port: int) -> Iterator[System]:
     """The system; the robot stands."""
     home = Path(tempfile.mkdtemp(prefix="valor-"))
-    options = ["--view", "--sensors", "lidar,camera", "--world", "stairs"]
+    shutil.copytree(ROBOTS / "escher", home / "escher")  # with a second controller
+    (home / "escher" / "robot.yaml").open("a").write("\ncontrollers: { stand: [whole_body, remote] }\n")
+    options = ["--robot", str(home / "escher"), "--view", "--sensors", "lidar,camera", "--world", "stairs"]
     options += ["--bag-without", "/multisense/*", "--bag-without", "/lidar/*"]
     options += ["--foxglove-at", str(port)] if FOXGLOVE else []
     with running("up", home, *options) as system:

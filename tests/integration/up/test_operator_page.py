@@ -154,6 +154,15 @@ def test_a_mode_is_changed_and_those_that_cannot_follow_say_why(page: Page, robo
     assert robot.behaviors() <= {Behavior.STAND_MANIPULATE}
 
 
+def test_a_controller_is_chosen_and_why_it_does_not_take_over_is_shown(page: Page, robot: Robot) -> None:
+    page.tab("Drive")
+    page.select("controller", "remote")
+    page.sees("commands", "controller remote")
+    page.view.get_by_text("no command on motion_manager/joint_commands yet").first.wait_for()
+    wait_until(lambda: page.selected("controller") == "whole_body", PATIENCE, "the controller in use is shown again")
+    assert robot.state().behavior == Behavior.STAND_MANIPULATE
+
+
 def test_an_arm_goes_where_its_ghost_was_when_it_is_approved(page: Page, robot: Robot) -> None:
     name = "l_shoulder_pitch"
     wanted = robot.description.tables.arm_presets["forward"]["left"][name]
