@@ -13,6 +13,7 @@ from valor.valorctl.terminal.console import Interruption, progress, rich_console
 from valor.valorctl.terminal.options import Json
 
 DEFAULT_SECONDS = 5.0  # of a walk
+SERVED = 10.0  # until a simulation on a busy computer answers [s]
 PUSH_DURATION = 0.1  # [s]
 _NUMBERS_MAY_BE_NEGATIVE = {"ignore_unknown_options": True}
 
@@ -260,7 +261,7 @@ def push(
 
     wanted = PushRequest(impulse_in_world=np.array((x, y, z)), duration=PUSH_DURATION, body=body)
     needs = "only a simulated robot can be pushed"
-    reply = request(running.require_running(), PUSH, wanted, timeout=2.0, action="push", needs=needs)
+    reply = request(running.require_running(), PUSH, wanted, timeout=SERVED, action="push", needs=needs)
     say(f"pushed with ({x:g}, {y:g}, {z:g}) N·s at {reply.time * 1e-9:.3f} s of robot time")
 
 
@@ -277,7 +278,7 @@ def simulated_time(
     from valor.valorctl.instance import running
 
     message, needs = TimeRequest(wanted, value), "only simulated time can be controlled"
-    reply = request(running.require_running(), SIMULATED_TIME, message, timeout=2.0, action=wanted, needs=needs)
+    reply = request(running.require_running(), SIMULATED_TIME, message, timeout=SERVED, action=wanted, needs=needs)
     say(f"{'paused' if reply.paused else 'passing'} at {reply.time * 1e-9:.3f} s, factor {reply.factor:g}")
 
 
