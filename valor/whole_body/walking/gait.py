@@ -115,7 +115,8 @@ class Gait:
                 steps[1].swing_duration, least=table.shortest_swing, transfer=steps[2].transfer_duration,
                 omega=self._guard.situation.omega,
             )  # fmt: skip
-            return self._guard.cost(pushed - self._plan.at(0.0)[0], soles[steps[0].foot], second)
+            cost = self._guard.cost(pushed - self._plan.at(0.0)[0], soles[steps[0].foot], second)
+            return cost if strategy[1] is None else table.cross_cost * cost
 
         backward = -float(soles[LEFT].rotation[:, 0] @ velocity)
         begin(min(source.strategies(backward), key=begin))
