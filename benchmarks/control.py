@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument(
         "what",
         nargs="*",
-        help="ticks, standing, fixed, stepping, walking, pushed, courses, profiles, frequencies",
+        help="ticks, standing, fixed, stepping, walking, pushed, courses, profiles, frequencies; default: all",
     )
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--profile", default="hardware")

@@ -35,7 +35,7 @@ HEADINGS = (
 
 
 class Run(NamedTuple):
-    """What came of one; (k, …) for each period."""
+    """Outcome of a run; (k, …) for each period."""
 
     fall: str | None
     time: float  # [s]
@@ -114,5 +114,5 @@ def cells(runs: list[Run]) -> str:
         f"| {sum(int(np.count_nonzero(each.efforts >= 0.999)) for each in good)} "
         f"| {mean([float(np.sqrt(np.mean(each.knee**2))) for each in good]):.1f} "
         f"| {min(each.flexion for each in good):.2f} | {sum(each.qp_failures for each in runs)} "
-        f"| {np.median(ticks):.0f}, {ticks.max():.0f} |"
-    )[:-2]
+        f"| {np.median(ticks):.0f}, {ticks.max():.0f}"
+    )

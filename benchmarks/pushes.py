@@ -1,7 +1,8 @@
 """Pushes of 0.1 s at the chest: feet fixed, stepping allowed, walking. Tables for ``control.py``.
 
-Every push begins from a fork of one process that stands or walks: what comes before it is simulated once. Run by
-itself, it prints what a standing robot survives in every direction, and draws it; a JSON file that is there goes on:
+Every push begins from a fork of one process that stands or walks: what comes before it is simulated once. As a
+command it prints and draws the largest push in every direction that a standing robot survives, and continues an
+existing JSON file:
 
     .venv/bin/python -m benchmarks.pushes --directions 16 --seeds 3 --json build/pushes.json
         [--robot NAME] [--profile hardware] [--step 2.5] [--before FILE] [--picture docs/pictures/push_rose.png]

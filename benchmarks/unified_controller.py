@@ -1,7 +1,7 @@
-"""What a unified controller costs: the Whole-Body Controller in the Motion Manager, then in the Valor ROS Controller.
+"""Cost of a unified controller: the Whole-Body Controller in the Motion Manager, then in the Valor ROS Controller.
 
 Starts the whole system for a copy of a robot whose ``controllers`` list ``remote``, once for each rate of the Valor ROS
-Controller, lets it stand under each arrangement, and prints a table of what the Bifrost messages' stamps tell:
+Controller, lets it stand under each arrangement, and prints a table computed from the stamps of Bifrost's messages:
 
     state       Proprioceptor sent ─► the controller begins to compute
     controller  its computation
@@ -51,7 +51,7 @@ QUEUE = 100_000  # messages
 
 @dataclass
 class Row:
-    """What one arrangement measured; times [s]."""
+    """Measurements of one arrangement; times [s]."""
 
     arrangement: str
     state: FloatArray
@@ -88,27 +88,28 @@ COLUMNS: Columns[Row] = (
 )
 
 
-class Ears:
-    """Hears all topics while the robot stands."""
+class Tap:
+    """Receives all topics while the robot stands."""
 
     def __init__(self, node: bifrost.Node) -> None:
         self._topics = {topic: topic.subscriber(node, QUEUE) for topic in (PROPRIOCEPTOR, MOTOR, MOTION_STATE)}
         self._commands = JOINT_COMMANDS.subscriber(node, QUEUE, limited=False)
         self._statistics = {name: STATISTICS[name].subscriber(node) for name in (MOTION, VRC)}
 
-    def hear(self, arrangement: str, seconds: float, joint: int, reference: FloatArray | None) -> Row:
+    def measure(self, arrangement: str, seconds: float, joint: int, reference: FloatArray | None) -> Row:
         """Measure for ``seconds`` of robot time; ``joint``: one driven by force, which a command names first."""
         self._drain()
         cpu: dict[str, list[float]] = {name: [] for name in self._statistics}
-        heard: list[list[bifrost.Received[Any]]] = [[], [], [], []]
-        while not heard[0] or 1e-9 * (heard[0][-1].message.time - heard[0][0].message.time) < seconds:
+        streams: list[list[bifrost.Received[Any]]] = [[], [], [], []]
+        states = streams[0]
+        while not states or 1e-9 * (states[-1].message.time - states[0].message.time) < seconds:
             time.sleep(0.5)
-            for messages, more in zip(heard, self._drain(), strict=True):
+            for messages, more in zip(streams, self._drain(), strict=True):
                 messages.extend(more)
             for name, subscriber in self._statistics.items():
                 if received := subscriber.latest():
                     cpu[name].append(received.message.cpu_percent)
-        row = _row(arrangement, heard, joint, reference)
+        row = _row(arrangement, streams, joint, reference)
         row.cpu = {name: float(np.mean(values)) for name, values in cpu.items()}
         return row
 
@@ -117,10 +118,10 @@ class Ears:
 
 
 def _row(
-    arrangement: str, heard: Sequence[list[bifrost.Received[Any]]], joint: int, reference: FloatArray | None
+    arrangement: str, streams: Sequence[list[bifrost.Received[Any]]], joint: int, reference: FloatArray | None
 ) -> Row:
     """Follow each Motor back to the state that it was computed from, and on to the state that reports it."""
-    states, motors, motions, commands = heard
+    states, motors, motions, commands = streams
     sent = {each.message.time: each.stamp for each in states}
     times = {each.message.sequence: each.message.time for each in states}
     made = {each.message.time: each.message for each in motions}
@@ -200,12 +201,12 @@ def measure(options: argparse.Namespace, home: Path, rate: float) -> Iterator[Ro
     instance = Instance(f"unified-{rate:g}", home)
     up = ("--profile", "motion_system", "--robot", str(folder), "--clock", options.clock, "--actuators", "hardware")
     with started(instance, *up) as node, vrc(instance, rate):
-        ears = Ears(node)
+        tap = Tap(node)
         time.sleep(SETTLING)
         valorctl(instance, "mode", "stand")
         activate()
-        ears.hear("", REST, joint, None)
-        before = ears.hear(f"Motion Manager, VRC {rate:g} Hz", options.seconds, joint, None)
+        tap.measure("", REST, joint, None)
+        before = tap.measure(f"Motion Manager, VRC {rate:g} Hz", options.seconds, joint, None)
         yield before
         for attempt in range(ATTEMPTS):
             time.sleep(0.5)
@@ -216,8 +217,8 @@ def measure(options: argparse.Namespace, home: Path, rate: float) -> Iterator[Ro
                 print(error)
                 if attempt == ATTEMPTS - 1:
                     raise
-        ears.hear(f"VRC {rate:g} Hz", REST, joint, before.dcm_reference)
-        yield ears.hear(f"VRC {rate:g} Hz", options.seconds, joint, before.dcm_reference)
+        tap.measure(f"VRC {rate:g} Hz", REST, joint, before.dcm_reference)
+        yield tap.measure(f"VRC {rate:g} Hz", options.seconds, joint, before.dcm_reference)
         print(valorctl(instance, "controller"))
 
 

@@ -41,7 +41,7 @@ class Controller:
 
     @classmethod
     def fits(cls, config: Any, robot: RobotDescription) -> bool:
-        """Whether a robot has the controller of an entry of controllers.yaml."""
+        """Return whether a robot has the controller of an entry of controllers.yaml."""
         groups = config.groups
         return not groups or any(group == PELVIS or robot.tables.group(group) for group in groups)
 

@@ -173,7 +173,7 @@ def _measure(run: Run, kept: HandTrack, ours: HandTrack, real: HandTrack | None)
     away = np.array([motion.name != "home" for motion in kept.motions])
     run.measures += [
         Measure("command to sensed, largest", 100.0 * float(kept.tracking_error.distance.max()), "cm",
-                "≤ 2 (simulation)", "on the way; where a busy computer lets set-points come late, far beyond the next"),
+                "≤ 2 (simulation)", "on the way; larger where a busy computer sends set-points late"),
         Measure("command to sensed, 99 of 100 moments", 100.0 * float(np.quantile(kept.tracking_error.distance, 0.99)),
                 "cm", "≤ 2 (simulation)", "the same size: what servos lag behind while they move"),
         Measure("by the floating base, smallest at a pose", 100.0 * float(moved[away].min()), "cm", "3",

@@ -36,7 +36,7 @@ SoleT = TypeVar("SoleT", bound=Sole)
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Where a foot may come down, relative to the stance foot and in its heading, and when it moves on the way there.
+    """Region of a foothold, relative to the stance foot and in its heading, and the timing of the way there.
 
     Axes: forward, and outward, to the stepping foot's own side of the stance foot; negative there: legs crossed.
     """

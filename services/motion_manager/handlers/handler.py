@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Container, Iterator, Sequence
 from math import hypot, isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
@@ -108,6 +109,16 @@ AnyHandler = Handler[Any] | RequestHandler[Any, Any]
 def make_all(components: Components) -> tuple[AnyHandler, ...]:
     """Make one of each handler in this package."""
     return tuple(found(components) for found in classes(__name__.rpartition(".")[0], Handler, RequestHandler))
+
+
+def each_joint(names: Sequence[str], known: Container[str]) -> Iterator[str]:
+    """Yield names in turn; raises ``RefusalError`` at a joint that is unknown or repeated."""
+    for i, name in enumerate(names):
+        if name not in known:
+            raise RefusalError("names", f"unknown joint {name[:64]!r}; joints are named in robot.yaml")
+        if name in names[:i]:
+            raise RefusalError("names", f"joint {name!r} is named twice")
+        yield name
 
 
 def require_finite(what: str, vector: FloatArray) -> None:

@@ -11,7 +11,7 @@ from valor.common.messages import JointCommands
 from valor.common.topics import JOINT_COMMANDS
 from valor.control.controller import JointCommand
 from valor.motion_manager.components import Components
-from valor.motion_manager.handlers.handler import Handler
+from valor.motion_manager.handlers.handler import Handler, each_joint
 from valor.motion_manager.locomotion.remote import NEEDED, RemoteCommand, RemoteController
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.motion_tables import REMOTE, WHOLE_BODY
@@ -52,15 +52,11 @@ class JointCommandsHandler(Handler[JointCommands]):
 
     def _make_layout(self, *names: str) -> npt.NDArray[np.intp]:
         """(k,) indices of the joints; raises RefusalError about a wrong name."""
-        for i, name in enumerate(names):
-            if name not in self._index:
-                raise RefusalError("names", f"unknown joint {name[:64]!r}; joints are named in robot.yaml")
-            if name in names[:i]:
-                raise RefusalError("names", f"joint {name!r} is named twice")
+        joints = np.array([self._index[name] for name in each_joint(names, self._index)], dtype=np.intp)
         if missing := [name for name in self._needed if name not in names]:
             text = f"joint {missing[0]!r} is missing; expected all of {', '.join(NEEDED)}: {', '.join(self._needed)}"
             raise RefusalError("names", text)
-        return np.array([self._index[name] for name in names], dtype=np.intp)
+        return joints
 
     def _numbers(self, message: JointCommands, joints: npt.NDArray[np.intp]) -> list[npt.NDArray[np.float64]]:
         """Position, velocity, effort, stiffness, damping, (k,) each; raises RefusalError about a wrong one."""

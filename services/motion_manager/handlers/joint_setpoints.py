@@ -13,7 +13,7 @@ from valor.common.errors import RefusalError
 from valor.common.messages import JointSetpoints
 from valor.common.topics import JOINT_SETPOINTS
 from valor.motion_manager.components import Components
-from valor.motion_manager.handlers.handler import STALE, Handler
+from valor.motion_manager.handlers.handler import STALE, Handler, each_joint
 from valor.motion_manager.hands.hand_goals import SIDES
 from valor.motion_manager.joints.joint_reference import Setpoint
 from valor.robot.commanded_limits import CommandedLimits
@@ -92,11 +92,7 @@ class JointSetpointsHandler(Handler[JointSetpoints]):
         if not names:
             raise RefusalError("names", "names no joint")
         first_of: dict[type[StrEnum], str] = {}
-        for i, name in enumerate(names):
-            if name not in self._index:
-                raise RefusalError("names", f"unknown joint {name[:64]!r}; joints are named in robot.yaml")
-            if name in names[:i]:
-                raise RefusalError("names", f"joint {name!r} is named twice")
+        for name in each_joint(names, self._index):
             if name not in owners:
                 raise RefusalError("names", f"joint {name!r} is in no group that moves; it is held at nominal")
             first_of.setdefault(owners[name], name)

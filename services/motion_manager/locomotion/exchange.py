@@ -114,11 +114,10 @@ class ControllerExchange:
             return f"no controller {name[:64]!r} for this robot; expected of its robot.yaml, controllers: {lists}"
         if self.failed:
             return f"the robot is brought to rest: {self.failed}"
-        if name != WHOLE_BODY:
-            controller = self._others[name].controller
-            controller.chosen()
-            if state is not None and (refusal := controller.refusal(state)):
-                return refusal
+        controller = self.named(name)
+        controller.chosen()
+        if state is not None and (refusal := controller.refusal(state)):
+            return refusal
         self.chosen |= dict.fromkeys(states, name)
         self.changes += 1
         return ""

@@ -113,7 +113,7 @@ class ControllersTable:
 
     @property
     def manipulate(self) -> bool:
-        """Whether any controller moves arms, hands or waist."""
+        """True if any controller moves arms, hands or waist."""
         return any("manipulation" in each.accepted_when for each in self.of_type(TrajectoryControllerConfig).values())
 
 

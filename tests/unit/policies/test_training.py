@@ -97,7 +97,7 @@ def test_the_task_uses_facts_that_are_there(robot: RobotDescription, package: Pa
 
 
 def exported(package: Path, folder: Path, **changes: str) -> Path:
-    """What mjlab 1.6 writes of that task: facts of its metadata have three decimals."""
+    """Metadata as mjlab 1.6 writes them for that task: facts have three decimals."""
     mj, facts = opened(package)
     joints = list(facts["default_position"])
     size, count = 12 + 3 * len(joints), len(OBSERVED)

@@ -72,7 +72,7 @@ class BalanceWatch:
         if recent and time - recent[-1][0] > 1e9 * table.speed_time:
             recent.clear()
         recent.append((time, x, y))
-        while time - recent[1 if len(recent) > 1 else 0][0] >= 1e9 * table.speed_time:
+        while len(recent) > 1 and time - recent[1][0] >= 1e9 * table.speed_time:
             recent.popleft()
         began, px, py = recent[0]
         if time - began < 1e9 * table.speed_time:

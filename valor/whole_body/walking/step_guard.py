@@ -78,6 +78,12 @@ def transfer_gain(spread: float) -> float:
     return (1.0 - exp(-spread)) / spread
 
 
+def _offset(z: Any, p: Any) -> Any:
+    """Return (2,) b, the DCM error left to the next step, of the unknowns and the parameters."""
+    planned, reached, predicted, alpha, beta = p[0:2], p[2:4], p[4:6], p[7], p[8]  # s; ξ_td − c; ξ_p − c; α; β
+    return (predicted * z[2] + z[3:5] - reached - alpha * (z[0:2] - planned)) / beta
+
+
 class StepAdjuster:
     """Solves the QP of a step."""
 
@@ -106,13 +112,11 @@ class StepAdjuster:
         table = self._table
         z, p = ca.SX.sym("z", UNKNOWNS), ca.SX.sym("p", PARAMETERS)
         s, r, d = z[0:2], z[2], z[3:5]
-        planned, reached, predicted = p[0:2], p[2:4], p[4:6]  # foothold; ξ_td − c; ξ_p − c
-        growth, alpha, beta, omega = p[6], p[7], p[8], p[9]
-        offset = (predicted * r + d - reached - alpha * (s - planned)) / beta
+        planned, growth, omega = p[0:2], p[6], p[9]
         cost = (
             table.foothold_weight * ca.sumsqr(s - planned)
             + table.time_weight * ((r - 1.0) / omega) ** 2
-            + table.offset_weight * ca.sumsqr(offset)
+            + table.offset_weight * ca.sumsqr(_offset(z, p))
             + table.cop_weight * ca.sumsqr(d / (growth - 1.0))
         )
         hessian, gradient = ca.hessian(cost, z)
@@ -167,8 +171,7 @@ class StepAdjuster:
         mx, my = c * (x - nx) - s * (y - ny), s * (x - nx) + c * (y - ny)
         foothold = np.array((ox + c * x - s * y, oy + s * x + c * y, step.sole.position[2]))
         reached = landing + alpha * np.array((mx, my, 0.0))
-        p = self._parameters
-        bx, by = ((p[4:6] * ratio + z[3:5] - p[2:4] - alpha * (z[:2] - p[:2])) / p[8]).tolist()
+        bx, by = _offset(z, self._parameters).tolist()
         offset = np.array((c * bx - s * by, s * bx + c * by, 0.0))
         return Adjustment(foothold, left + log(ratio) / omega, reached, offset, cost)
 
