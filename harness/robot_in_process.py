@@ -9,6 +9,8 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
+from valor.robot.get_up_table import Posture
+from valor.robot.tables import SIDES
 from valor.self_test import robot_in_process
 
 LYING = 3.0  # after a fall [s]
@@ -47,12 +49,32 @@ class RobotInProcess(robot_in_process.RobotInProcess):
         mujoco.mj_forward(model.mj, data)
         self.run(1.0)
 
+    def topple(self, way: Posture, seed: int) -> None:
+        """Fallen towards a side from any posture of the arms, much as it falls when pushed: put there tilted, limp."""
+        self.step()
+        for behavior in (Behavior.STAND, Behavior.FALL):
+            self.manager.fsm.go(behavior, "toppled")
+        model, data, robot, rng = self.plant.model, self.plant.data, self.plant.model.robot, np.random.default_rng(seed)
+        heading = {"face": 0.0, "left": 0.5, "back": 1.0, "right": 1.5}[way] * np.pi + rng.uniform(-0.5, 0.5)
+        tilt = rng.uniform(0.6, 1.2)  # [rad]
+        data.qpos[2] = robot.tables.nominal_base_height + 0.1
+        data.qpos[3:7] = (np.cos(tilt / 2), *(np.sin(tilt / 2) * np.array([-np.sin(heading), np.cos(heading), 0.0])))
+        arms = [robot.index[name] for side in SIDES for name in robot.tables.group(f"{side}_arm")]
+        share, spread = np.full(len(robot.joints), 0.1), rng.uniform(robot.lower.clip(-2.0), robot.upper.clip(max=2.0))
+        share[arms] = rng.uniform(0.0, 0.9)
+        posture = robot.nominal_posture + share * (spread - robot.nominal_posture)
+        data.qpos[model.qpos] = posture.clip(robot.lower, robot.upper)
+        data.qvel[:] = 0.0
+        data.qvel[3:6] = rng.normal(0.0, 0.5, 3)
+        mujoco.mj_forward(model.mj, data)
+        self.run(LYING)
+
     def get_up(self) -> str:
         """Get up and stand: what came in between, or an empty text."""
         self.peak[:] = 0.0
         if refused := self.ask(Behavior.GET_UP):
             return f"refused: {refused}"
-        self.run_until(lambda: self.behavior is not Behavior.GET_UP, 60.0)
+        self.run_until(lambda: self.behavior is not Behavior.GET_UP, 120.0)
         return "" if self.behavior is Behavior.STAND_PREP else self.manager.fsm.reason
 
     def stand(self) -> str:

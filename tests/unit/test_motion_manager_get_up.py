@@ -10,9 +10,9 @@ from harness.places import ROBOTS
 from harness.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
-from valor.motion_manager.locomotion.get_up import GetUp, SoleBalance
+from valor.motion_manager.locomotion.get_up import ATTEMPTS, GetUp, SoleBalance, lying
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import Balance
+from valor.robot.get_up_table import Balance, Posture
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 
@@ -38,17 +38,50 @@ class Lying:
 
 
 @pytest.mark.parametrize(
-    ("state", "words"),
+    ("pitch", "roll", "way"),
     [
-        (Lying(-90.0), "face-down only: the pelvis is pitched -90°"),
-        (Lying(90.0, roll=60.0), "rolled 60°; expected 60 to 120° and at most 30°"),
-        (Lying(0.0), "pitched 0°"),
-        (Lying(90.0, rate=2.0), "does not lie still"),
+        (90.0, 0.0, Posture.FACE),
+        (130.0, 20.0, Posture.FACE),
+        (-90.0, 0.0, Posture.BACK),
+        (-90.0, 45.0, Posture.RIGHT),
+        (0.0, 90.0, Posture.RIGHT),
+        (90.0, -60.0, Posture.LEFT),
+        (-90.0, -45.0, Posture.LEFT),
+        (0.0, 20.0, None),
+        (-30.0, 0.0, None),
     ],
 )
-def test_from_elsewhere_than_face_down_it_is_refused(state: Lying, words: str) -> None:
-    assert words in GetUp(ESCHER).rejection(state)  # type: ignore[arg-type]
-    assert GetUp(ESCHER).rejection(Lying(90.0)) == ""  # type: ignore[arg-type]
+def test_how_it_lies_is_seen_from_the_attitude_of_its_pelvis(pitch: float, roll: float, way: Posture | None) -> None:
+    state, get_up = Lying(pitch, roll), GetUp(ESCHER)
+    assert lying(state) is way  # type: ignore[arg-type]
+    reason = get_up.rejection(state)  # type: ignore[arg-type]
+    assert reason == "" if way else "it does not lie" in reason and "face, right, left, back" in reason
+    assert "does not lie still" in get_up.rejection(Lying(pitch, roll, rate=2.0))  # type: ignore[arg-type]
+
+
+def test_every_way_of_lying_leads_to_standing_and_the_sides_mirror_each_other() -> None:
+    ways = GetUp(ESCHER).ways
+    for start in ways:
+        at = start
+        for _ in ways:
+            at = at if at is Posture.STANDING else ways[at].to
+        assert at is Posture.STANDING
+    left, right = (np.array(ways[side].goals) for side in (Posture.LEFT, Posture.RIGHT))
+    knees = [[ESCHER.index[f"{side}_{joint}"] for side in "lr"] for joint in ("knee_pitch", "hip_roll")]
+    for (one, other), sign in zip(knees, (1.0, -1.0), strict=True):
+        assert np.allclose(left[:, one], sign * right[:, other]) and not np.allclose(left[:, one], sign * right[:, one])
+
+
+def test_a_roll_that_fails_is_tried_over_the_other_side_and_not_for_ever() -> None:
+    get_up, now, seen = GetUp(ESCHER), 0.0, list[object]()
+    get_up.begin(Lying(-90.0), now)  # type: ignore[arg-type]
+    while not get_up.failure and now < 120.0:
+        now += 0.01
+        get_up.update(Lying(-90.0), now)  # type: ignore[arg-type]
+        if get_up.way is not None and (not seen or seen[-1] is not get_up.way):
+            seen.append(get_up.way)
+    assert len(seen) == ATTEMPTS and seen[0] is seen[2] is not seen[1]
+    assert f"{ATTEMPTS} motions failed" in get_up.failure and "lies on its back; expected face" in get_up.failure
 
 
 def test_a_robot_without_a_table_refuses() -> None:
@@ -56,16 +89,16 @@ def test_a_robot_without_a_table_refuses() -> None:
     assert "thor has no get_up.yaml" in GetUp(thor).rejection(Lying(90.0))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("pitch", "roll"), [(20.0, 0.0), (90.0, 45.0)])
-def test_a_robot_that_is_not_where_a_pose_should_have_brought_it_gives_up(pitch: float, roll: float) -> None:
+@pytest.mark.parametrize(("pitch", "roll"), [(50.0, 0.0), (90.0, 45.0)])
+def test_a_robot_that_is_not_where_a_pose_should_have_brought_it_goes_limp(pitch: float, roll: float) -> None:
     get_up, now = GetUp(ESCHER), 0.0
     get_up.begin(Lying(90.0), now)  # type: ignore[arg-type]
-    while not get_up.failure and now < 60.0:
+    while not get_up.trouble and now < 10.0:
         now += 0.01
         get_up.update(Lying(pitch, roll), now)  # type: ignore[arg-type]
         assert not get_up.done
-    assert f"{roll:.0f}°" in get_up.failure if roll else "pitched 20°" in get_up.failure
-    assert now < 10.0
+    assert get_up.way is None and (f"rolled {roll:.0f}°" if roll else "pitched 50°") in get_up.trouble
+    assert "coming to rest" in get_up.progress and not get_up.failure
 
 
 def test_from_face_down_to_stand() -> None:
@@ -75,17 +108,25 @@ def test_from_face_down_to_stand() -> None:
     assert (run.peak <= ESCHER.effort_limit + 1e-9).all() and run.stand() == ""
 
 
-def test_a_robot_that_is_held_down_gives_up_limp() -> None:
+def test_a_robot_that_is_held_down_goes_limp_and_is_stopped() -> None:
     run = RobotInProcess(ESCHER, "ideal", seed=0)
     run.lie_face_down()
     chest = run.plant.model.body(ESCHER.tables.chest)
     run.plant.data.xfrc_applied[chest, 2] = -1500.0  # somebody stands on its back [N]
-    reason = run.get_up()
-    assert run.behavior is Behavior.FALL
-    assert "given up" in reason
+    assert run.ask(Behavior.GET_UP) == ""
+    assert run.run_until(lambda: "coming to rest" in run.manager.fsm.reason, 20.0)
     run.peak[:] = 0.0
     run.step()
-    assert (run.peak < 0.2 * ESCHER.effort_limit).all() and "no transition" in run.ask(Behavior.STAND)
+    assert run.behavior is Behavior.GET_UP and (run.peak < 0.2 * ESCHER.effort_limit).all()
+    assert run.ask(Behavior.FALL) == "" and "no transition" in run.ask(Behavior.STAND)
+
+
+def test_from_its_back_it_rolls_over_to_its_face() -> None:
+    run = RobotInProcess(ESCHER, "hardware", seed=1)
+    run.topple(Posture.BACK, seed=1)
+    assert lying(run.manager.components.state) is Posture.BACK  # type: ignore[arg-type]
+    assert run.ask(Behavior.GET_UP) == ""
+    assert run.run_until(lambda: "to standing" in run.manager.fsm.reason, 8.0)
 
 
 @dataclass
@@ -131,8 +172,12 @@ def test_a_robot_that_sways_on_is_waited_for_and_given_up() -> None:
         get_up.update(Lying(90.0), now)  # type: ignore[arg-type]
         assert not get_up.failure
     reached = now + 2.2
+    while not get_up.trouble and now < 60.0:
+        now += 0.01
+        get_up.update(Lying(90.0, rate=1.0), now)  # type: ignore[arg-type]
+    assert "after on all fours the pelvis still rotates at 1.0 rad/s" in get_up.trouble
+    assert now == pytest.approx(reached + 2.0, abs=0.5)
     while not get_up.failure and now < 60.0:
         now += 0.01
         get_up.update(Lying(90.0, rate=1.0), now)  # type: ignore[arg-type]
-    assert "after on all fours the pelvis still rotates at 1.0 rad/s" in get_up.failure
-    assert now == pytest.approx(reached + 2.0, abs=0.5)
+    assert "still rotates at 1.0 rad/s" in get_up.failure

@@ -16,8 +16,8 @@ from valor.robot.description import RobotDescription
 from valor.robot.model import full_model
 
 _HEAD = """\
-# Get Up of {robot}: key poses, executed in order by the joints' servos (motion_manager/locomotion/get_up.py).
-# Generated from get_up_plan.yaml by `python -m valor.get_up_planning robots/{robot}`; edit that file.
+# Get Up of {robot}: motions of key poses, executed by the joints' servos (motion_manager/locomotion/get_up.py).
+# The motion from the face: from get_up_plan.yaml by `python -m valor.get_up_planning robots/{robot}`; edit that file.
 # Duration and hold [s]; joints [rad], others stay; pitch range of the pelvis afterwards
 # [deg]; outside it Get Up is abandoned.
 """
@@ -58,7 +58,11 @@ def plan(folder: Path) -> tuple[list[KeyPose], str]:
             f"unbalanced {np.abs(verified.unbalanced).max():.1e}, carried by {carried} N{collisions}",
             file=sys.stderr,
         )
-    return found, text(posture, specified, found)
+    _, *others = (
+        (folder / get_up_table.FILE).read_text().split("  - from: ") if (folder / get_up_table.FILE).is_file() else [""]
+    )
+    kept = "".join(f"  - from: {other}" for other in others if not other.startswith("[face]"))
+    return found, text(posture, specified, found) + kept
 
 
 def text(posture: SagittalPosture, plan: GetUpPlan, found: Sequence[KeyPose]) -> str:
@@ -70,7 +74,10 @@ def text(posture: SagittalPosture, plan: GetUpPlan, found: Sequence[KeyPose]) ->
         _HEAD.format(robot=robot.name),
         f"roll: {plan.roll:g}  # of the pelvis, at most [deg]",
         f"balance: {{ joints: [{', '.join(balance.joints)}], gain: {balance.gain:g}, limit: {balance.limit:g} }}",
-        "face_down:",
+        "motions:",
+        "  - from: [face]",
+        "    to: standing",
+        "    poses:",
     ]
     before = dict(zip(robot.joints, robot.nominal_posture.tolist(), strict=True))
     for pose in plan.face_down:
@@ -79,14 +86,14 @@ def text(posture: SagittalPosture, plan: GetUpPlan, found: Sequence[KeyPose]) ->
         changed = {name: angles[name] for name in robot.joints if name in angles and angles[name] != before[name]}
         before |= angles
         lines += [
-            f"  - name: {pose.name}",
-            f"    duration: {pose.duration:g}",
-            f"    hold: {pose.hold:g}",
-            f"    pitch: [{pose.pitch[0]:g}, {pose.pitch[1]:g}]",
-            *(["    balanced: true"] if pose.balanced else []),
-            "    joints: {",
-            *(f"      {line}," for line in _rows(robot, changed)),
-            "    }",
+            f"      - name: {pose.name}",
+            f"        duration: {pose.duration:g}",
+            f"        hold: {pose.hold:g}",
+            f"        pitch: [{pose.pitch[0]:g}, {pose.pitch[1]:g}]",
+            *(["        balanced: true"] if pose.balanced else []),
+            "        joints: {",
+            *(f"          {line}," for line in _rows(robot, changed)),
+            "        }",
         ]
     return "\n".join(lines) + "\n"
 

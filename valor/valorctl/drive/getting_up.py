@@ -14,7 +14,7 @@ from valor.valorctl.drive.node import join, next_message
 GETTING_UP = "getting up"  # shown until the robot reports the pose that it moves to
 LONGEST = 120.0  # of wall time [s]
 _TIMEOUT = 2.0  # of replies and states [s]
-FACE_DOWN = "face-down also: `valorctl get-up`"
+BY_ITSELF = "a robot that can get up also: `valorctl get-up`"
 BY_HAND = "hang a real one upright, then `valorctl stop --freeze`, `valorctl mode stand_prep`"
 OTHERWISE = f"`valorctl reset` puts a simulated robot on its feet; {BY_HAND}"
 

@@ -13,7 +13,7 @@ from rich.text import Text
 from valor.common.instance import Instance
 from valor.common.linking import robot_side_advice
 from valor.common.processes import BY_NAME
-from valor.valorctl.drive.getting_up import BY_HAND, FACE_DOWN
+from valor.valorctl.drive.getting_up import BY_HAND, BY_ITSELF
 from valor.valorctl.status.log_reader import SERVICES, LogLine
 from valor.valorctl.status.status import WAY_OUT, Status
 from valor.valorctl.terminal.console import rich_console, table
@@ -95,7 +95,7 @@ def _robot(status: Status) -> list[Text]:
     lines.append(Text(f"{word} since {began}: {condition.reason}", colour))
     lines.append(Text.assemble("→ ", (status.way_out, "bold")))
     if status.fallen:
-        lines.append(Text(f"  {FACE_DOWN}" if status.resettable else f"  otherwise: {BY_HAND}"))
+        lines.append(Text(f"  {BY_ITSELF}" if status.resettable else f"  otherwise: {BY_HAND}"))
         lines.append(
             Text(f"recorded in {condition.bag}" if condition.bag else "not recorded", "" if condition.bag else WAITING)
         )
