@@ -1,11 +1,10 @@
 """Pushes of 0.1 s at the chest: feet fixed, stepping allowed, walking. Tables for ``control.py``.
 
 Every push begins from a fork of one process that stands or walks: what comes before it is simulated once. As a
-command it prints and draws the largest push in every direction that a standing robot survives, and continues an
-existing JSON file:
+command it prints and draws the largest push in every direction that a robot survives, and continues an existing JSON
+file (``--help``):
 
-    .venv/bin/python -m benchmarks.pushes --directions 16 --seeds 3 --json build/pushes.json
-        [--robot NAME] [--profile hardware] [--step 2.5] [--before FILE] [--picture docs/pictures/push_rose.png]
+    .venv/bin/python -m benchmarks.pushes --json build/pushes.json --picture docs/pictures/push_rose.png
 """
 
 from __future__ import annotations
@@ -42,6 +41,7 @@ SETTLED = 1.5  # … so long after the push, at the earliest [s]
 SPEED = 0.3  # of the walk [m/s]
 PHASES = 16  # of two steps
 IMPULSES = (15.0, 25.0)  # while walking [N·s]
+AGAIN = 0.7  # between two pushes [s]
 T = TypeVar("T")
 P = ParamSpec("P")
 
@@ -64,6 +64,15 @@ class Outcome:
         return self.fall is None
 
 
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What a robot does and how it is pushed."""
+
+    walk: VelocitySteps | None = None  # None: it stands
+    body: str = ""  # pushed; empty: the chest
+    again: float = np.inf  # time of a second push [s]
+
+
 def forked(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
     """What ``function`` returns, computed in a copy of this process: whatever it changes stays there."""
     source, sink = os.pipe()
@@ -83,17 +92,20 @@ def forked(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 def push(
-    loop: ClosedLoop, direction: tuple[float, float], impulse: float, seconds: float, walk: VelocitySteps | None = None
+    loop: ClosedLoop, direction: tuple[float, float], impulse: float, seconds: float, kind: Kind = Kind()
 ) -> Outcome:
     """Push the robot [N·s] and go on until it falls, stands at rest, or for so long; walking on if it walks."""
     began, swinging, steps, saturated = loop.time, None, 0, 0
     bent = knees(loop.robot)
     knee, errors = np.inf, []
     failures = loop.command.qp_failures
-    loop.plant.push(impulse * np.array((*direction, 0.0)), DURATION)
+    pushes = [began + kind.again, began]
     while loop.fall is None and loop.time < began + seconds:
-        if walk is not None:
-            go(loop, walk)
+        while pushes and loop.time >= pushes[-1]:
+            loop.plant.push(impulse * np.array((*direction, 0.0)), DURATION, kind.body)
+            began = pushes.pop()
+        if kind.walk is not None:
+            go(loop, kind.walk)
         loop.step()
         steps += loop.controller.swinging is not None and loop.controller.swinging != swinging
         swinging = loop.controller.swinging
@@ -112,9 +124,12 @@ def go(loop: ClosedLoop, walk: VelocitySteps) -> None:
     walk.advance(loop.time)
 
 
-def standing(robot: RobotDescription, profile: str, seed: int) -> ClosedLoop:
-    """A robot that has come to stand."""
+def standing(robot: RobotDescription, profile: str, seed: int, hands: float = 0.0) -> ClosedLoop:
+    """A robot that has come to stand; with so much more in each hand than the controller knows [kg]."""
     loop = ClosedLoop(robot, profile, seed)
+    for hand in (robot.tables.hands.left, robot.tables.hands.right) if hands else ():
+        assert hand is not None
+        loop.plant.model.mj.body_mass[loop.plant.model.body(hand.body)] += hands
     loop.settle(0.3)
     loop.run(2.2)
     return loop
@@ -144,12 +159,12 @@ def most_fixed(loop: ClosedLoop, direction: tuple[int, int], bound: float) -> fl
 
 
 def most_stepping(
-    loop: ClosedLoop, direction: tuple[float, float], ladder: Sequence[float] = LADDER
+    loop: ClosedLoop, direction: tuple[float, float], ladder: Sequence[float] = LADDER, kind: Kind = Kind()
 ) -> tuple[float, Outcome | None, Outcome | None]:
     """The largest push of a ladder below the first fall [N·s], its outcome, and that of the last push."""
     best, most, last = None, 0.0, None
     for impulse in ladder:
-        last = forked(push, loop, direction, impulse, 6.0)
+        last = forked(push, loop, direction, impulse, 3.0 if kind.walk else 6.0, kind)
         if not last.survived:
             break
         best, most = last, impulse
@@ -195,22 +210,12 @@ def walking(name: str, profile: str, seeds: int) -> Iterator[str]:
         outcomes: dict[float, list[tuple[str, Outcome]]] = {impulse: [] for impulse in IMPULSES}
         loop = standing(load_robot(name), profile, seed)
         walk = loop.request.steps = VelocitySteps(loop.robot.tables.walking)
-        period, began, phase = 2.0 * sum(walk.durations(np.array((SPEED, 0.0, 0.0)))), np.inf, 0
-        swinging: int | None = 0
         directions = list(DIRECTIONS.items())
-        while phase < PHASES and loop.fall is None:
-            go(loop, walk)
-            loop.step()
-            if loop.controller.swinging == 0 and swinging != 0 and loop.time > 7.0 and np.isinf(began):
-                began = loop.time  # the left foot leaves the ground, at full speed
-            swinging = loop.controller.swinging
-            if loop.time < began + (phase + 0.5) / PHASES * period:
-                continue
+        for phase in strides(loop, walk, PHASES):
             towards, direction = directions[phase % len(directions)]
             for impulse, results in outcomes.items():
-                outcome = forked(push, loop, direction, impulse, 3.0, walk)
+                outcome = forked(push, loop, direction, impulse, 3.0, Kind(walk))
                 results.append((f"{towards} ({phase / PHASES:.2f})", outcome))
-            phase += 1
         for impulse, results in outcomes.items():
             good = [outcome for _, outcome in results if outcome.survived]
             fell = "; ".join(when for when, outcome in results if not outcome.survived)
@@ -219,6 +224,21 @@ def walking(name: str, profile: str, seeds: int) -> Iterator[str]:
                 max(o.saturated for o in good), max(o.failures for o in good),
             ) if good else None  # fmt: skip
             yield f"| {impulse:.0f} | {seed} | {len(good)} of {PHASES} | {figures(worst)} | {fell or '–'} |"
+
+
+def strides(loop: ClosedLoop, walk: VelocitySteps, phases: int) -> Iterator[int]:
+    """Walk, and stop at so many phases of two steps at full speed."""
+    period, began, phase = 2.0 * sum(walk.durations(np.array((SPEED, 0.0, 0.0)))), np.inf, 0
+    swinging: int | None = 0
+    while phase < phases and loop.fall is None:
+        go(loop, walk)
+        loop.step()
+        if loop.controller.swinging == 0 and swinging != 0 and loop.time > 7.0 and np.isinf(began):
+            began = loop.time  # the left foot leaves the ground
+        swinging = loop.controller.swinging
+        if loop.time >= began + (phase + 0.5) / phases * period:
+            yield phase
+            phase += 1
 
 
 def rose(results: Mapping[str, Mapping[str, Sequence[float]]], robot: str, picture: Path) -> None:
@@ -240,35 +260,63 @@ def rose(results: Mapping[str, Mapping[str, Sequence[float]]], robot: str, pictu
     drawn.savefig(picture)
 
 
+def starts(robot: RobotDescription, options: argparse.Namespace) -> Iterator[tuple[ClosedLoop, VelocitySteps | None]]:
+    """The robot by seed, as it stands, or at phases of its walk; each is valid until the next."""
+    for seed in range(options.seeds):
+        loop = standing(robot, options.profile, seed, options.hands)
+        if not options.walking:
+            yield loop, None
+            continue
+        walk = loop.request.steps = VelocitySteps(robot.tables.walking)
+        for _ in strides(loop, walk, options.walking):
+            yield loop, walk
+
+
 def main() -> None:
     """Run what the command line asks for."""
+    options = asked()
+    robot = load_robot(options.robot)
+    mass, name = robot.tables.size.mass, robot.tables.name
+    first = IMPULSES[0] if options.walking else LADDER[0]
+    ladder = (mass / ESCHER.mass * np.arange(first, LADDER[-1], options.step)).tolist()
+    arm = robot.joints[robot.group_indices("left_arm")[0]]
+    found: dict[str, list[float]] = json.loads(options.json.read_text()) if options.json.exists() else {}
+    headings = [f"{360.0 * k / options.directions:g}" for k in range(options.directions)]
+    for count, (loop, walk) in enumerate(starts(robot, options), 1):
+        mj = loop.plant.model.mj
+        bodies = {"chest": "", "pelvis": robot.tables.base, "shoulder": mj.body(mj.joint(arm).bodyid[0]).name}
+        kind = Kind(walk, bodies[options.at], AGAIN if options.twice else np.inf)
+        for heading in headings:
+            done = found.setdefault(heading, [])
+            if len(done) < count:
+                angle = np.radians(float(heading))
+                done.append(most_stepping(loop, (np.cos(angle), np.sin(angle)), ladder, kind)[0] / mass)
+                options.json.write_text(json.dumps(found))
+    print("| heading [°] | survived, by seed and phase [N·s] | least [N·s/kg] |\n|---|---|---|")
+    for heading in headings:
+        done = found[heading]
+        print(f"| {heading} | {', '.join(f'{mass * j:.1f}' for j in done)} | {min(done):.2f} |")
+    if options.picture is not None:
+        before = {"before": json.loads(options.before.read_text())} if options.before else {}
+        rose({**before, "now": found}, name.upper(), options.picture)
+
+
+def asked() -> argparse.Namespace:
+    """What the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--robot", default="escher")
+    parser.add_argument("--robot", default="escher", help="name, or absolute path of a folder")
     parser.add_argument("--profile", default="hardware")
     parser.add_argument("--directions", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--step", type=float, default=RUNG, help="between rungs, for a mass of 75.9 kg [N·s]")
+    parser.add_argument("--walking", type=int, default=0, metavar="PHASES", help=f"walk at {SPEED} m/s, so many phases")
+    parser.add_argument("--at", choices=("chest", "pelvis", "shoulder"), default="chest", help="the left shoulder")
+    parser.add_argument("--hands", type=float, default=0.0, help="carried in each hand, unknown to the controller [kg]")
+    parser.add_argument("--twice", action="store_true", help=f"push again after {AGAIN} s")
     parser.add_argument("--json", type=Path, required=True, help="results by heading, 0 forward, 90 left [N·s/kg]")
     parser.add_argument("--before", type=Path, help="other results, to be drawn as well")
     parser.add_argument("--picture", type=Path)
-    options = parser.parse_args()
-    robot = load_robot(options.robot)
-    mass = robot.tables.size.mass
-    ladder = (mass / ESCHER.mass * np.arange(LADDER[0], LADDER[-1], options.step)).tolist()
-    found: dict[str, list[float]] = json.loads(options.json.read_text()) if options.json.exists() else {}
-    loops = [standing(robot, options.profile, seed) for seed in range(options.seeds)]
-    print("| heading [°] | survived, by seed [N·s] | least [N·s/kg] |\n|---|---|---|")
-    for k in range(options.directions):
-        heading = 360.0 * k / options.directions
-        c, s = np.cos(np.radians(heading)), np.sin(np.radians(heading))
-        done = found.setdefault(f"{heading:g}", [])
-        for loop in loops[len(done) :]:
-            done.append(most_stepping(loop, (c, s), ladder)[0] / mass)
-            options.json.write_text(json.dumps(found))
-        print(f"| {heading:g} | {', '.join(f'{mass * j:.1f}' for j in done)} | {min(done):.2f} |", flush=True)
-    if options.picture is not None:
-        before = {"before": json.loads(options.before.read_text())} if options.before else {}
-        rose({**before, "now": found}, options.robot.upper(), options.picture)
+    return parser.parse_args()
 
 
 FIGURES = "steps | DCM error RMS [mm] | smallest knee angle [rad] | torques at their limit | QP failures"

@@ -89,10 +89,7 @@ class Disturbance(Table):
     recovery_transfer_duration: Time[Positive] = 0.02  # of weight, of such steps [s]
     recovery_swing_duration: Time[Positive] = 0.3  # [s]
     recovery_swing_height: Length[Positive] = 0.04  # [m]
-    cross_apart: Length[Positive] = 0.27  # of soles, one behind the other, when a leg crosses behind [m]
-    cross_farther: Time[NonNegative] = 0.08  # more of it per speed of the DCM backward [s]
-    cross_over: Length[NonNegative] = 0.25  # largest way across the stance foot [m]
-    cross_cost: Positive = 3.0  # factor of a crossing's cost: its steps follow their plan less well
+    away_cost: Positive = 3.0  # factor of the cost of steps that begin with the foot away from which the DCM goes
     recovery_foot_weight: Positive = 60.0  # of the swinging foot's task
     recovered: Length[Positive] = 0.05  # largest DCM error with which such steps end [m]
 

@@ -34,23 +34,6 @@ class Sole(Protocol):
 SoleT = TypeVar("SoleT", bound=Sole)
 
 
-@dataclass(frozen=True, slots=True)
-class Region:
-    """Region of a foothold, relative to the stance foot and in its heading, and the timing of the way there.
-
-    Axes: forward, and outward, to the stepping foot's own side of the stance foot; negative there: legs crossed.
-    """
-
-    forward: tuple[float, float]  # [m]
-    outward: tuple[float, float]  # [m]
-    moves_forward: tuple[float, float] = (0.0, 1.0)  # fractions of the swing
-    moves_outward: tuple[float, float] = (0.0, 1.0)
-
-    def nearest(self, forward: float, outward: float) -> tuple[float, float]:
-        """Return the nearest position within [m]."""
-        return min(max(forward, self.forward[0]), self.forward[1]), min(max(outward, self.outward[0]), self.outward[1])
-
-
 @dataclass(frozen=True)  # no slots: with them `Step[SolePose](…)` fails
 class Step(Generic[SoleT]):
     """Footstep."""
@@ -62,7 +45,6 @@ class Step(Generic[SoleT]):
     swing_duration: float  # [s]; 0: the robot's default
     transfer_duration: float  # of the preceding double support [s]; 0: the robot's default
     adjustable: float = 0.0  # largest adjustment along each axis to keep balance [m]
-    region: Region | None = None  # within which it is adjusted; None: the robot's, of steps beside the other foot
 
     @property
     def name(self) -> str:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from harness.closed_loop import load_robot
 from valor.control.steps import Step
 from valor.control.tuning_tables import Tuning
-from valor.robot.footsteps import LEFT, Region, StepRule
+from valor.robot.footsteps import LEFT, StepRule
 from valor.whole_body.walking.footsteps import level_pose
 from valor.whole_body.walking.step_guard import Adjustment, Situation, StepAdjuster, StepGuard
 
@@ -110,16 +110,6 @@ def test_a_plans_step_moves_no_further_than_it_may(
     asked = situation(foot, (0.15, 0.2), error, left, adjustable=bound)
     moved = adjust(asked).foothold - asked.step.sole.position
     assert np.abs(moved).max() <= bound + 1e-5
-
-
-@pytest.mark.parametrize("foot", [0, 1])
-@pytest.mark.parametrize("error", [(0.0, 0.0), (0.5, 0.5), (-0.5, -0.5)])
-def test_a_step_comes_down_in_its_region(foot: int, error: tuple[float, float]) -> None:
-    region = Region(forward=(-0.5, -0.3), outward=(-0.2, 0.0))
-    asked = situation(foot, region.nearest(0.0, 0.2), error, 0.3)
-    ahead, left, _ = adjust(replace(asked, step=replace(asked.step, region=region))).foothold - asked.stance.position
-    assert -0.5 - 1e-5 < ahead < -0.3 + 1e-5
-    assert -0.2 - 1e-5 < (left if foot == LEFT else -left) < 1e-5
 
 
 @pytest.mark.parametrize("foot", [0, 1])

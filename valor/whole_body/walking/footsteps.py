@@ -10,8 +10,7 @@ from valor.common.messages import StepStatus
 from valor.control.steps import SolePose, Step
 from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
-from valor.robot.footsteps import LEFT, RIGHT, Region
-from valor.whole_body.walking.regions import Regions
+from valor.robot.footsteps import LEFT
 
 AHEAD = 3  # automatic steps planned
 MOST_MORE = 4  # Steps that bring the DCM between feet side by side: on a slope, or leaning, it may never be there
@@ -23,16 +22,10 @@ def level_pose(x: float, y: float, z: float, yaw: float) -> SolePose:
     return SolePose(np.array((x, y, z)), rotation.yaw_matrix(yaw))
 
 
-def beside(stance: SolePose, foot: int, width: float, ahead: float = 0.0) -> SolePose:
-    """Return a level sole of ``foot``, parallel to the other's at a lateral distance ``width``, and ``ahead`` [m]."""
+def beside(stance: SolePose, foot: int, width: float) -> SolePose:
+    """Return a level sole of ``foot``, parallel to the other's at a lateral distance ``width`` [m]."""
     yaw = rotation.yaw_matrix(rotation.yaw(stance.rotation))
-    return SolePose(stance.position + yaw @ np.array((ahead, width if foot == LEFT else -width, 0.0)), yaw)
-
-
-def outward(sole: SolePose, stance: SolePose, foot: int) -> float:
-    """Return how far a sole of ``foot`` is on its own side of the other [m]."""
-    left = float(rotation.yaw_matrix(rotation.yaw(stance.rotation))[:, 1] @ (sole.position - stance.position))
-    return left if foot == LEFT else -left
+    return SolePose(stance.position + yaw @ np.array((0.0, width if foot == LEFT else -width, 0.0)), yaw)
 
 
 def side_by_side(sole: SolePose, place: SolePose) -> bool:
@@ -160,24 +153,14 @@ class RecoverySteps:
     def __init__(self, robot: RobotDescription) -> None:
         self._walking, self._table = robot.tables.walking, robot.read(Tuning).disturbance
         self._foot = LEFT
-        self._regions = Regions(robot) if robot.tables.footsteps is not None else None
-        self._region: Region | None = None  # of the first step
         self._leads, self._more = True, MOST_MORE
         self.dcm = np.zeros(3)  # (3,) measured, for nominal arms; updated by the controller [m]
         foot = robot.tables.feet.left
         self._centre = np.array((0.5 * (foot.heel + foot.toe), 0.0, 0.0))  # of a sole [m]
 
-    def strategies(self, backward: float) -> list[tuple[int, Region | None]]:
-        """Return what ``lead`` may be given for a DCM that moves backward at a speed [m/s]."""
-        regions: list[Region | None] = [None]
-        if self._regions is not None and (behind := self._regions.behind(backward)):
-            regions.append(behind)
-        return [(foot, region) for region in regions for foot in (LEFT, RIGHT)]
-
-    def lead(self, foot: int, region: Region | None = None) -> None:
-        """Make the next step one of ``foot``, at any position, into a region; None: beside the other foot."""
+    def lead(self, foot: int) -> None:
+        """Make the next step one of ``foot``, at any position."""
         self._foot, self._leads, self._more = foot, True, MOST_MORE
-        self._region = region
 
     def upcoming(self, soles: Sequence[SolePose]) -> Sequence[Step]:
         """Return the next steps; none if the feet are side by side and the DCM is between them."""
@@ -189,13 +172,9 @@ class RecoverySteps:
             if not self._more or hypot(x, y) < table.recovered:
                 return ()
             self._more -= 1
-        region, regions = self._region if self._leads else None, self._regions
-        if regions is not None and not self._leads and regions.crossed(outward(soles[foot], stance, foot)):
-            region = regions.uncrossing
         steps = []
         for _ in range(AHEAD):
-            ahead, width = region.nearest(0.0, walking.step_width) if region else (0.0, walking.step_width)
-            sole = beside(stance, foot, width, ahead)
+            sole = beside(stance, foot, walking.step_width)
             steps.append(
                 Step(
                     index=-1,
@@ -205,10 +184,9 @@ class RecoverySteps:
                     swing_duration=table.recovery_swing_duration,
                     transfer_duration=table.recovery_transfer_duration,
                     adjustable=inf,
-                    region=region,
                 )
             )
-            foot, stance, region = 1 - foot, sole, None
+            foot, stance = 1 - foot, sole
         return steps
 
     def began(self, step: Step) -> None:

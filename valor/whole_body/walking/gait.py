@@ -18,7 +18,7 @@ from valor.control.state import RobotState
 from valor.control.steps import SolePose, Step, StepSource
 from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
-from valor.robot.footsteps import LEFT, RIGHT, Region
+from valor.robot.footsteps import LEFT, RIGHT
 from valor.robot.motion_tables import Walking
 from valor.robot.size import ESCHER
 from valor.whole_body.balance.reference import at_frequency
@@ -96,7 +96,7 @@ class Gait:
     def recover(
         self, state: RobotState, source: RecoverySteps, dcm: FloatArray, vrp: FloatArray, velocity: FloatArray
     ) -> None:
-        """Start stepping at once, with the foot and into the region for which this step and the next cost least.
+        """Start stepping at once, with the foot for which this step and the next cost least.
 
         (3,) ``dcm`` and its ``velocity`` measured, ``vrp`` reference, for nominal arms [m, m/s].
         """
@@ -105,8 +105,8 @@ class Gait:
         soles, table = sole_poses(state), self._disturbance
         pushed = dcm + table.look_ahead * velocity  # where the push, if it goes on, will have moved it
 
-        def begin(strategy: tuple[int, Region | None]) -> float:
-            source.lead(*strategy)
+        def begin(foot: int) -> float:
+            source.lead(foot)
             steps = source.upcoming(soles)
             self.start(state, source, dcm, vrp, urgent=True)
             landing, centre = self._plan.at_end(self._resting + 2)
@@ -115,11 +115,9 @@ class Gait:
                 steps[1].swing_duration, least=table.shortest_swing, transfer=steps[2].transfer_duration,
                 omega=self._guard.situation.omega,
             )  # fmt: skip
-            cost = self._guard.cost(pushed - self._plan.at(0.0)[0], soles[steps[0].foot], second)
-            return cost if strategy[1] is None else table.cross_cost * cost
+            return self._guard.cost(pushed - self._plan.at(0.0)[0], soles[foot], second)
 
-        backward = -float(soles[LEFT].rotation[:, 0] @ velocity)
-        begin(min(source.strategies(backward), key=begin))
+        begin(min((LEFT, RIGHT), key=begin))
 
     def catch(self, state: RobotState, source: RecoverySteps, foot: int, dcm: FloatArray) -> None:
         """Start with a foot in the air, and lower it where the DCM needs it; ``dcm`` (3,) as in ``recover``."""
@@ -314,8 +312,6 @@ class Gait:
             descent=table.descent,
             late_descent=table.late_descent,
             toe=self._toes[step.foot],
-            region=step.region,
-            heading=self._guard.situation.stance.rotation[:2, 0],
         )
 
     def _give_way(self, state: RobotState, dcm: FloatArray, step: Step) -> None:

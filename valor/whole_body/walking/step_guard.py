@@ -38,7 +38,6 @@ from valor.control.steps import SolePose, Step
 from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.footsteps import LEFT
-from valor.whole_body.walking.regions import Regions
 
 UNBOUNDED = 1e30  # No bound, for the solver
 PEAK = 1.875  # Ratio of peak to mean speed of a minimum-jerk motion
@@ -98,7 +97,6 @@ class StepAdjuster:
             for foot in (feet.left, feet.right)
         ]
         self._sole_length = feet.left.toe - feet.left.heel
-        self._beside = Regions(robot).beside
         self._parameters = np.zeros(PARAMETERS)
         self._hessian = np.zeros((UNKNOWNS, UNKNOWNS))
         self._gradient = np.zeros(UNKNOWNS)
@@ -210,10 +208,13 @@ class StepAdjuster:
 
     def _box(self, step: Step, stance: SolePose, planned: Sequence[float]) -> list[tuple[float, float]]:
         """Bounds forward and left of the stance foot of a step with a planned position there [m]."""
-        region = step.region or self._beside
+        reach, table = self._reach, self._table
         turn = abs(rotation.yaw(step.sole.rotation @ stance.rotation.T))
-        near, far = region.outward[0] + 0.5 * self._sole_length * sin(min(turn, 1.0)), region.outward[1]
-        boxes = region.forward, (near, far) if step.foot == LEFT else (-far, -near)
+        near = reach.min_width + table.clearance + 0.5 * self._sole_length * sin(min(turn, 1.0))
+        boxes = (
+            (-max(reach.max_backward, table.max_backward), reach.max_forward),
+            (near, table.max_width) if step.foot == LEFT else (-table.max_width, -near),
+        )
         most = step.adjustable
         ends = [
             (max(low, place - most), min(high, place + most)) for (low, high), place in zip(boxes, planned, strict=True)
@@ -321,11 +322,17 @@ class StepGuard:
         return adjuster.within_reach(step, situation.stance, foothold + moved)
 
     def cost(self, dcm_error: FloatArray, swing: SolePose, second: Situation) -> float:
-        """Return the cost of the step at its start and of a second, inf if not adjustable; arguments as elsewhere."""
+        """Return the cost of the step at its start and of a second, inf if not adjustable; arguments as elsewhere.
+
+        The foot away from which the DCM goes makes a detour that follows its plan less well.
+        """
         if self._adjuster is None or not self._guards:
             return inf
-        first = replace(self.situation, swing=swing, dcm_error=dcm_error, least=self._touchdown)
-        return self._adjuster.cost_of_two(first, second)
+        planned, table = self.situation, self._table
+        away = float(planned.stance.rotation[:, 1] @ dcm_error) * (1.0 if planned.step.foot == LEFT else -1.0) < 0.0
+        least = self._touchdown - planned.step.swing_duration + table.shortest_swing
+        first = replace(planned, swing=swing, dcm_error=dcm_error, least=least)
+        return (table.away_cost if away else 1.0) * self._adjuster.cost_of_two(first, second)
 
     def reference(self, left: float) -> FloatArray:
         """Return (3,) DCM of the adjusted step [m], ``left`` [s] before touchdown."""

@@ -14,7 +14,6 @@ import numpy as np
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.control.steps import SolePose
-from valor.robot.footsteps import Region
 
 FOLLOWING = 0.06  # Time in which a late foot moves to a new foothold [s]
 HURRY = 4.0  # Acceleration of a late foot [m/s²]
@@ -23,8 +22,6 @@ HIGH_STEP = 0.1  # Height between footholds from which LIFT and LANDING apply fu
 LIFT = 0.2  # Fraction of the time with vertical motion only, at the start (up) or end (down)
 LANDING = 0.1  # Fraction of the time with vertical motion only, at the end of a step up
 PEEL, MOST_PEELED = 4.0, 0.5  # Pitch of the leaving foot, toes down: per height [rad/m], at most [rad]
-SLOW = 1e-6  # Speed below which a motion along an axis has not begun [m/s]
-FORWARD = np.array((1.0, 0.0))
 PEELED, LEVEL = 0.3, 0.75  # Fractions of the time of the largest pitch, and of level again
 
 
@@ -95,12 +92,6 @@ class Hump:
         return up.at(time) if up is not None and time < up.ends else self._down.at(time)
 
 
-def _window(part: tuple[float, float], time: float, duration: float, moves: bool) -> tuple[float, float]:
-    """Begin and end of what is left at ``time`` of a part of a motion; at once if it moves already [s]."""
-    begins = time if moves else max(time, part[0] * duration)
-    return begins, max(min(duration, max(part[1] * duration, begins + FOLLOWING)), begins + SHORTEST_RISE)
-
-
 class SwingTrajectory:
     """Swing from rest to the ground: quintics in the plane and orientation, humps in height and peeling."""
 
@@ -115,17 +106,13 @@ class SwingTrajectory:
         descent: float,
         late_descent: float = 0.0,
         toe: float = 0.0,
-        region: Region | None = None,
-        heading: FloatArray = FORWARD,
     ) -> None:
         """Plan from pose to pose in ``duration`` [s], with the apex ``height`` above the higher of both [m].
 
         The foot ends ``depth`` below the target [m] at the downward speed ``descent``, kept afterwards, and without
         ground accelerates to ``late_descent`` [m/s]. It peels about its ``toe``, ahead of the sole's origin; 0: not
-        [m]. In the plane it moves when the ``region`` of its step says, in the ``heading`` (2,) of the stance foot.
+        [m].
         """
-        self._region, self._heading = region, heading / np.linalg.norm(heading)
-        self._ahead: Quintic | None = None  # motion along the heading, if not when the rest moves
         self._depth, self._descent, self._toe = depth, descent, toe
         self._late_descent = max(descent, late_descent)
         self._hurries = (self._late_descent - descent) / HURRY  # time until that speed [s]
@@ -170,12 +157,6 @@ class SwingTrajectory:
         departs = max(time, min(self._departs, 0.5 * duration))
         arrives = max(departs + SHORTEST_RISE, self._arrives * duration)
         self._start, self._ends = start, duration
-        if (region := self._region) is not None:
-            along = motion[:, :2] @ self._heading
-            aside = motion[1, :2] - along[1] * self._heading
-            departs, arrives = _window(region.moves_outward, time, duration, float(abs(aside).max()) > SLOW)
-            began, ends = _window(region.moves_forward, time, duration, abs(float(along[1])) > SLOW)
-            self._ahead = Quintic(along[:, None], np.array((end[:2] @ self._heading,)), began, ends - began)
         self._horizontal = Quintic(motion, end, departs, arrives - departs)
         self._vertical = Hump(
             motion[:, 2:3],
@@ -189,9 +170,6 @@ class SwingTrajectory:
     def _flat(self, time: float) -> FloatArray:
         """(3, 6) motion of the sole without peeling; angles as in ``_plan``."""
         motion = self._horizontal.at(time)
-        if self._ahead is not None:
-            change = self._ahead.at(time)[:, 0] - motion[:, :2] @ self._heading
-            motion[:, :2] += np.outer(change, self._heading)
         motion[:, 2] = self._vertical.at(time)[:, 0]
         if time > self._ends:
             motion[:, 2] = self._late_at(time - self._ends, motion[0, 2])
