@@ -3,10 +3,10 @@
 Prints Markdown tables: the time of a tick, standing over seeds, the largest push survived in each direction with fixed
 feet against the bound of physics m·ω·Δξ (the DCM must stay within reach of the centre of pressure), the largest one
 survived by stepping, walking, pushes at any phase of a walk, the ways over dirt, rubble and stairs, and actuator
-profiles and natural frequencies side by side.
+profiles, natural frequencies, and robots with fewer sensors side by side.
 
     .venv/bin/python benchmarks/control.py [ticks] [standing] [fixed] [stepping] [walking] [pushed] [courses] [profiles]
-        [frequencies] [--profile hardware] [--seeds 3] [--seconds 60]
+        [frequencies] [feet] [--profile hardware] [--seeds 3] [--seconds 60]
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy
 
 import numpy as np
 
-from benchmarks import frequencies, profiles, pushes, walks
+from benchmarks import feet, frequencies, profiles, pushes, walks
 from harness.closed_loop import ClosedLoop, load_robot
+from harness.strangers import ROBOTS
 from valor.robot.description import RobotDescription
 from valor.whole_body.walking.velocity_steps import VelocitySteps
 
@@ -34,7 +35,7 @@ def main() -> None:
     parser.add_argument(
         "what",
         nargs="*",
-        help="ticks, standing, fixed, stepping, walking, pushed, courses, profiles, frequencies; default: all",
+        help="ticks, standing, fixed, stepping, walking, pushed, courses, profiles, frequencies, feet; default: all",
     )
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--profile", default="hardware")
@@ -54,6 +55,7 @@ def main() -> None:
         ),
         "courses": lambda: walks.courses(options.robot, options.profile, options.seeds),
         "frequencies": lambda: frequencies.table(options.robot, options.profile, options.seeds),
+        "feet": lambda: feet.table((options.robot, *ROBOTS), options.profile, options.seeds),
     }
     for name in options.what or parts:
         for line in parts[name]():

@@ -119,9 +119,9 @@ def controller_model(robot: RobotDescription) -> Model:
     return Model(robot, compiled(robot, spec))
 
 
-def weld_others(spec: mujoco.MjSpec, robot: RobotDescription) -> None:
-    """Weld the joints that do not balance, of fingers and sensors, as in the nominal posture."""
-    moved = {name for group in WHOLE_BODY_GROUPS for name in robot.tables.group(group)}
+def weld_others(spec: mujoco.MjSpec, robot: RobotDescription, groups: Sequence[str] = WHOLE_BODY_GROUPS) -> None:
+    """Weld the joints of other groups, by default those that do not balance, as in the nominal posture."""
+    moved = {name for group in groups for name in robot.tables.group(group)}
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_HINGE and joint.name not in moved:
             _weld(spec, joint, robot.tables.nominal_posture.get(joint.name, 0.0))

@@ -109,6 +109,7 @@ class Imu(Table):
     """IMU on the pelvis."""
 
     site: str
+    accelerometer: bool = True  # without, a quasi-static robot is assumed: gravity alone, by the attitude
 
 
 class Lidar(Table):
@@ -245,6 +246,12 @@ class RobotTables(Table, kw_only=True):
     calibration: Calibration = Calibration()
     supply: SupplyLimits = SupplyLimits()
     batteries: Batteries | None = None
+
+    @property
+    def feet_are_sensed(self) -> bool:
+        """Whether ``devices`` list force/torque sensors in both feet; else their wrenches are estimated."""
+        places = {place for device in self.devices.values() for place in device.places}
+        return {"left_foot", "right_foot"} <= places
 
     def group(self, name: str) -> list[str]:
         """Return a group's joints in order; empty if the robot lacks the limb."""

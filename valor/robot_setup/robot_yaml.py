@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from math import hypot, sqrt
 from pathlib import Path
 
+import mujoco
+
 from valor.robot.motion_tables import Footsteps, Walking
 from valor.robot.size import ESCHER, narrowness
 from valor.robot.tables import SIDES
@@ -74,7 +76,7 @@ def _head(draft: RobotDraft) -> list[str]:
     if robot.head is not None:
         lines.append(f"head: {robot.name(robot.head)}  # at the end of the chest's branch in the middle plane")
     lines += [
-        "imu: { site: imu }  # guessed at the base's origin",
+        f"imu: {{ site: imu{_without_accelerometer(robot)} }}  # guessed at the base's origin",
         "",
         "# The largest rectangle in the part that touches the ground first; the frame is below the ankle.",
         "feet:",
@@ -91,6 +93,14 @@ def _head(draft: RobotDraft) -> list[str]:
             f"  {side}: {{ body: {robot.name(robot.arms[side].end)}, site: {side[0]}_gripper }}" for side in SIDES
         ]
     return lines
+
+
+def _without_accelerometer(robot: Skeleton) -> str:
+    """Return the key of an IMU for which the model lists a gyroscope, but no accelerometer."""
+    sensors, kinds = set(robot.source.mj.sensor_type.tolist()), mujoco.mjtSensor
+    return (
+        ", accelerometer: false" if int(kinds.mjSENS_ACCELEROMETER) not in sensors >= {int(kinds.mjSENS_GYRO)} else ""
+    )
 
 
 def groups(robot: Skeleton) -> dict[str, list[str]]:

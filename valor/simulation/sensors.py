@@ -11,6 +11,7 @@ from valor.common.messages import Proprioceptor
 from valor.devices.kvh import BIASES, DENSITIES
 from valor.robot.batteries import Batteries
 from valor.robot.description import RobotDescription
+from valor.robot.foot_wrenches import completion
 from valor.robot.tables import SensorNoise
 from valor.simulation.plant import Plant
 
@@ -31,7 +32,7 @@ class Sensors:
     def __init__(self, robot: RobotDescription, plant: Plant, noise: SensorNoise, seed: int) -> None:
         self._plant = plant
         model, mj, data = plant.model, plant.model.mj, plant.data
-        tables = robot.tables
+        tables, feet = robot.tables, robot.tables.feet
         self._n = n = len(robot.joints)
         self._imu = model.site(tables.imu.site)
         if mj.site_bodyid[self._imu] != model.body(tables.base):
@@ -42,11 +43,11 @@ class Sensors:
         self._wrenches = WrenchSensors(
             plant,
             [
-                (tables.feet.left.body, tables.feet.left.sole),
-                (tables.feet.right.body, tables.feet.right.sole),
+                *((foot.body, foot.sole) if tables.feet_are_sensed else None for foot in (feet.left, feet.right)),
                 *(None if hand is None else (hand.body, hand.site) for hand in (tables.hands.left, tables.hands.right)),
             ],
         )
+        self._complete = completion(robot)
         self._supply = Supply(robot, tables.batteries) if tables.batteries else None
         self._kvh = Kvh(robot, plant, noise != SensorNoise(), seed) if tables.kvh else None
         self._rng = np.random.default_rng([seed, 1])
@@ -81,7 +82,7 @@ class Sensors:
             position /= self._resolution
             np.rint(position, out=position)
             position *= self._resolution
-        return Proprioceptor(
+        measured = Proprioceptor(
             time=time,
             sequence=sequence,
             motor_sequence=plant.actuators.motor_sequence,
@@ -102,6 +103,7 @@ class Sensors:
             else SUPPLY,
             motor_behavior="",
         )
+        return self._complete(measured)
 
     def _orientation(self, error: FloatArray) -> FloatArray:
         """(4,) attitude of the IMU in world, rotated by a small rotation vector (3,) in the IMU's frame [rad]."""

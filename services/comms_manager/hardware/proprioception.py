@@ -13,6 +13,7 @@ from valor.comms_manager.hardware.device import Device, ImuMeasurement, provider
 from valor.devices.kinds import Quantity
 from valor.devices.table import WrenchPlace
 from valor.robot.description import RobotDescription
+from valor.robot.foot_wrenches import completion
 
 NOMINAL_VOLTAGE = 48.0  # of the battery, until a unit reports a voltage [V]
 
@@ -94,6 +95,7 @@ class Proprioception:
         self._wrenches = {place: np.zeros(6) for place in get_args(WrenchPlace)}
         carrying = [each for each in self._moving if robot.tables.device_carries(each.name)]
         self._supplied = carrying or self._moving  # others may have a supply of their own
+        self._complete = completion(robot)
         self._voltage = NOMINAL_VOLTAGE
         self.update_voltage()
 
@@ -109,7 +111,7 @@ class Proprioception:
             if (felt := device.wrench) is not None:
                 self._wrenches.update(zip(device.places, felt.wrench, strict=True))
         attitude, second = self._attitude.measure(primary), self._second_imu()
-        return Proprioceptor(
+        measured = Proprioceptor(
             time=time,
             sequence=sequence,
             motor_sequence=motor_sequence,
@@ -125,6 +127,7 @@ class Proprioception:
             battery_voltage=self._voltage,
             motor_behavior="",
         )
+        return self._complete(measured)
 
     def _second_imu(self) -> ImuMeasurement:
         """Sample of the second IMU; without vectors if it has none, or is silent."""

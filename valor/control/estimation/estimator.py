@@ -13,6 +13,7 @@ from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import replace
 
 from valor.common import rotation
 from valor.common.kernel import Kernel
@@ -25,6 +26,7 @@ from valor.control.tuning_tables import Tuning
 from valor.robot.description import RobotDescription
 from valor.robot.model import Model
 
+QUASI_STATIC = 0.3  # Deviation of the acceleration that no accelerometer measures, fraction of gravity
 LONGEST_GAP = 0.02  # Longest period over which the IMU's rates are integrated [s]
 _CONTACTS: tuple[npt.NDArray[np.uint8], ...] = tuple(
     np.array(pair, dtype=np.uint8) for pair in ((0, 0), (1, 0), (0, 1), (1, 1))
@@ -37,8 +39,12 @@ class FloatingBaseEstimator:
     """Estimates the floating base and all of ``RobotState`` from Proprioceptor."""
 
     def __init__(self, robot: RobotDescription, model: Model) -> None:
-        self._table = table = robot.read(Tuning).estimator
+        table = robot.read(Tuning).estimator
         self.kinematics = kinematics = Kinematics(model)  # model at the last state
+        if not robot.tables.imu.accelerometer:  # the acceleration is assumed to be zero, and shows no tilt
+            acceleration = QUASI_STATIC * kinematics.gravity
+            table = replace(table, acceleration_deviation=acceleration, bias_deviation=0.0, bias_walk=0.0)
+        self._table = table
         self._joints = len(robot.joints)
         site = model.site(robot.tables.imu.site)
         self._mounting = rotation.quaternion(model.mj.site_quat[site])

@@ -147,7 +147,7 @@ def sensors_are_on_existing_limbs(tables: RobotTables) -> Iterator[TableError]:
 
 
 def devices_are_complete(tables: RobotTables) -> Iterator[TableError]:
-    """Check that devices move each joint, measure the attitude and the force at each foot, each force once.
+    """Check that devices move each joint, measure the attitude, the force at both feet or none, and each force once.
 
     Only for hardware: in simulation a robot needs no devices.
     """
@@ -159,8 +159,8 @@ def devices_are_complete(tables: RobotTables) -> Iterator[TableError]:
         problems.append(f"none moves {', '.join(missing)}")
     if not any(kind.provides & Quantity.ATTITUDE for kind in kinds.values()):
         problems.append("0 IMUs; expected one, for the pelvis' attitude")
-    if missing := [place for place in ("left_foot", "right_foot") if not measured[place]]:
-        problems.append(f"no force/torque sensor at {', '.join(missing)}; expected one in each foot")
+    if len(missing := [place for place in ("left_foot", "right_foot") if not measured[place]]) == 1:
+        problems.append(f"no force/torque sensor at {missing[0]}; expected one in each foot, or in neither")
     if twice := [what for what, count in (moved + measured).items() if count > 1]:
         problems.append(f"{', '.join(twice)}: in more than one device")
     if problems:
