@@ -14,13 +14,14 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import Locomotion
 from valor.control.controller import Controller, JointCommand, JointTargets, Request
 from valor.control.kinematics import Kinematics, UpperBodyKinematics, natural_frequency
-from valor.control.motions import FEET
+from valor.control.motions import COM, FEET
 from valor.control.state import RobotState
 from valor.control.steps import StepSource
 from valor.control.tuning_tables import Tuning, WholeBody
 from valor.robot.description import RobotDescription
 from valor.robot.limiter import Joints
 from valor.robot.motion_tables import WHOLE_BODY
+from valor.robot.size import narrowness
 from valor.whole_body.balance.pelvis import PelvisReference
 from valor.whole_body.balance.reference import DcmLaw
 from valor.whole_body.balance.watch import BalanceWatch
@@ -80,8 +81,10 @@ class WholeBodyController(Controller):
         self.weights = TaskWeights(nominal_weights(table), robot.tables.weight_factor, robot.control_period)
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * gravity
-        self._swung: tuple[int, float] | None = None  # swing foot in the objective, and its weight
+        self._mode: tuple[int | None, bool] = (None, False)  # swing foot in the objective, and whether it recovers
         self._foot_weights = robot.tables.walking.foot_weight, robot.read(Tuning).disturbance.recovery_foot_weight
+        feet = robot.tables.feet
+        self._narrow = narrowness(robot.tables.size.leg, min(feet.left.half_width, feet.right.half_width))
         self.may_recover = True  # whether the robot may step automatically to keep its balance
         self.watch = BalanceWatch(robot)  # trigger of such steps, with its reason
         self._recovers = robot.read(Tuning).disturbance.step_when_standing
@@ -101,7 +104,7 @@ class WholeBodyController(Controller):
         self._forces = np.zeros(2)
         self._frozen: Joints | None = None  # in the objective
         self.qp_failures = 0  # periods without a solution since construction
-        self._weigh(None)
+        self._weigh()
 
     @property
     def at_rest(self) -> bool:
@@ -133,7 +136,7 @@ class WholeBodyController(Controller):
         position = state.joint_position[self._joints.places].copy()
         self._upper_body.update(position)
         self.weights.reset()
-        self._weigh(None)
+        self._weigh()
         self._gait.stop()
         self.watch.reset()
         self._desired.reset(state)
@@ -160,11 +163,10 @@ class WholeBodyController(Controller):
         self.pelvis.advance(1e-9 * state.time, dt)
         changed = self.weights.advance()
         self._step(state, request.steps, dt)
-        swinging = self._gait.swinging
-        swing = None if swinging is None else (swinging, self._foot_weights[self.recovering])
-        if changed or swing != self._swung or reference.frozen is not self._frozen:
+        mode = self._gait.swinging, self.recovering
+        if changed or mode != self._mode or reference.frozen is not self._frozen:
             self._frozen = reference.frozen
-            self._weigh(swing)
+            self._weigh(*mode)
         desired.update(state, self._gait, reference, dt)
         try:
             bounds = self._bounds(state)
@@ -201,10 +203,14 @@ class WholeBodyController(Controller):
             self._stiffness = np.where(self._force, 0.0, asked.stiffness)
             self._damping = np.where(self._force, 0.0, asked.damping)
 
-    def _weigh(self, swing: tuple[int, float] | None) -> None:
-        self._swung = swing
+    def _weigh(self, swinging: int | None = None, recovers: bool = False) -> None:
+        self._mode = swinging, recovers
+        swing = None if swinging is None else (swinging, self._foot_weights[recovers])
         frozen = None if self._frozen is None else self._frozen[self._joints.places]
-        self._objective.weigh(dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True)), swing, frozen)
+        weights = dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True))
+        if recovers:  # a narrow sole mends little of what swinging a leg and righting the trunk cost the CoM
+            weights[COM] /= self._narrow**2
+        self._objective.weigh(weights, swing, frozen)
 
     def _bounds(self, state: RobotState) -> Bounds:
         own, desired, n = self._joint_bounds, self._desired, self._joints.count

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from harness.strangers import ROBOTS, policy_of
@@ -12,6 +13,7 @@ from valor.common.behaviors import Behavior
 from valor.policies.factories import policy_controller
 from valor.robot.description import RobotDescription
 from valor.robot_setup.new import new_robot
+from valor.self_test.closed_loop import ClosedLoop
 from valor.self_test.controller_test import ControllerTest
 
 pytestmark = pytest.mark.timeout(900)
@@ -24,6 +26,18 @@ def robot(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     folder = tmp_path_factory.mktemp("robots") / request.param
     new_robot(ROBOTS[request.param].model(), folder, request.param)
     return RobotDescription.load(folder)
+
+
+def test_without_a_policy_it_steps_when_it_is_pushed(robot: RobotDescription) -> None:
+    loop = ClosedLoop(robot, "hardware", seed=0)
+    loop.settle(0.3)
+    loop.run(1.0)
+    loop.plant.push(np.array((0.65 * robot.tables.size.mass, 0.0, 0.0)), 0.1)
+    stepped, until = False, loop.time + 6.0
+    while loop.fall is None and loop.time < until and not (stepped and loop.controller.at_rest):
+        loop.step()
+        stepped |= loop.controller.recovering
+    assert loop.fall is None and stepped and loop.controller.at_rest
 
 
 @pytest.mark.parametrize("kind", ["ppo", "fastsac"])
