@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +15,11 @@ from harness.closed_loop import load_robot
 from harness.robot_in_process import RobotInProcess
 from tests.unit.controllers import SPOILED, Spoiled, Statue
 from valor.common.arrays import FloatArray
-from valor.common.behaviors import Behavior
-from valor.control.controller import Controller, JointCommand
-from valor.motion_manager.locomotion.exchange import ControllerExchange, blended
+from valor.common.behaviors import Behavior, Locomotion
+from valor.control.controller import Controller, JointCommand, Request
+from valor.control.state import RobotState
+from valor.motion_manager.locomotion import exchange
+from valor.motion_manager.locomotion.exchange import WAITING, ControllerExchange, blended
 from valor.robot.description import RobotDescription
 from valor.robot.motion_tables import WHOLE_BODY
 
@@ -29,7 +33,7 @@ class Robot(RobotInProcess):
     def __init__(
         self, make: Callable[[RobotDescription], Controller], names: tuple[str, ...] = (WHOLE_BODY, "statue", "spoiled")
     ) -> None:
-        robot = load_robot(controllers={"stand": list(names)})
+        robot = load_robot(controllers={"stand": list(names), "walk": list(names)})
         super().__init__(robot, "hardware", 1, others=[lambda description, kinematics: make(description)])
         self.limit: FloatArray = robot.effort_limit
         assert not (refused := self.stand_up()), refused
@@ -103,6 +107,54 @@ def test_who_is_unsound_in_shadow_does_not_take_over() -> None:
     assert robot.largest_step(1.0) < STEP
     assert robot.exchange.active.name == WHOLE_BODY and robot.behavior is Behavior.STAND
     assert "does not take over" in robot.exchange.reason and "is not finite" in robot.exchange.reason
+
+
+class Marching(Statue):
+    """A statue that never comes to rest, as a policy that steps in place."""
+
+    @property
+    def at_rest(self) -> bool:
+        return False
+
+
+@pytest.mark.parametrize("inside", [exchange.INSIDE, 0.3])  # of the second no stance is capable
+def test_from_one_that_does_not_rest_it_takes_over_between_steps(
+    inside: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exchange, "INSIDE", inside)
+    robot = Robot(Marching)
+    assert not robot.choose("statue")
+    robot.run(0.5)
+    assert robot.exchange.active.name == "statue" and not robot.choose(WHOLE_BODY)
+    robot.run(0.4 * WAITING)
+    assert robot.exchange.active.name == "statue" and robot.exchange.pending
+    assert robot.largest_step(0.65 * WAITING) < STEP
+    assert robot.behavior is Behavior.STAND and not robot.exchange.pending
+    if inside < 0.3:
+        assert robot.exchange.active.name == WHOLE_BODY
+        return
+    assert robot.exchange.active.name == robot.exchange.chosen[Locomotion.STAND] == "statue"
+    assert re.search(r"whole_body does not take over: the DCM is 0\.\d+ m inside", robot.exchange.reason)
+
+
+class Yielding(Statue):
+    """Servos that give way: sound at every state."""
+
+    def update(self, state: RobotState, request: Request, dt: float) -> JointCommand | None:
+        return replace(self.held, position=state.joint_position.copy(), effort=np.zeros_like(self.held.effort))
+
+
+def test_a_walk_slows_down_before_another_controller_takes_over() -> None:
+    robot = Robot(Yielding)
+    assert not robot.ask(Behavior.WALK)
+    robot.walk((0.3, 0.0, 0.0), 3.0)
+    steps, period = robot.manager.components.velocity_steps, robot.manager.components.robot.control_period
+    assert steps.velocity[0] == pytest.approx(0.3) and not robot.choose("statue")
+    while robot.exchange.active.name == WHOLE_BODY and robot.time < 10.0:
+        robot.walk((0.3, 0.0, 0.0), period)
+    assert robot.exchange.active.name == "statue" and steps.velocity[0] < 0.2
+    robot.run(exchange.BLEND + period)
+    assert not steps.velocity.any()  # the next walk starts from rest
 
 
 def test_soft_stop_asks_no_controller() -> None:

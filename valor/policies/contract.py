@@ -298,9 +298,10 @@ class _Assembly:
         size = kind if isinstance(kind, int) else sizes.get(kind, len(stated.value or ()))
         if stated.size not in {None, size}:
             self._reject(about, f"size {stated.size}", size)
-        scale = np.atleast_1d(np.array(stated.scale, float))
-        if scale.size not in {1, size} or not np.isfinite(scale).all():
-            self._reject(about, f"scale {stated.scale}", f"1 or {size} numbers")
+        affine = {key: np.atleast_1d(np.array(getattr(stated, key), float)) for key in ("scale", "offset")}
+        for key, each in affine.items():
+            if each.size not in {1, size} or not np.isfinite(each).all():
+                self._reject(about, f"{key} {getattr(stated, key)}", f"1 or {size} numbers")
         if stated.clip is not None and not stated.clip[0] < stated.clip[1]:
             self._reject(about, f"clip {stated.clip}", "[least, largest]")
         order = self._value("quaternion_order") if stated.term == "base_orientation" else "wxyz"
@@ -310,7 +311,8 @@ class _Assembly:
             self._reject(about, ", ".join(sorted(odd)), "joints with a default position")
         joints = self._known(names, about) if stated.joints else tuple(self._rename.get(name, name) for name in names)
         index = np.array([self._robot.index.get(name, 0) for name in joints], np.intp)
-        offsets, value = np.array([zero.get(name, 0.0) for name in names]), np.array(stated.value or (), float)
+        zeros, value = np.array([zero.get(name, 0.0) for name in names]), np.array(stated.value or (), float)
         return Term(
-            stated.term, source, size, scale, stated.clip, stated.history, index, offsets, value, str(order)
+            stated.term, source, size, affine["scale"], affine["offset"], stated.clip, stated.history, index, zeros,
+            value, str(order),
         )  # fmt: skip

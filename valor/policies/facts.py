@@ -69,6 +69,7 @@ class TermFact(Table):
     term: str  # in ``observations.TERMS``; empty: the convention's is not known here
     name: str = ""  # in the convention
     scale: float | tuple[float, ...] = 1.0
+    offset: float | tuple[float, ...] = 0.0  # after the scale
     clip: Range | None = None  # before the scale
     history: Annotated[int, Meta(ge=1, le=1000)] = 1  # samples
     size: int | None = None  # of a sample, if stated
@@ -77,8 +78,9 @@ class TermFact(Table):
     value: tuple[float, ...] | None = None  # of the term ``constant``
 
     def __str__(self) -> str:
-        stated = {"×": self.scale if self.scale != 1.0 else None, "within": self.clip, "samples": self.history}
-        details = [f"{word} {each}" for word, each in stated.items() if each not in {None, 1}]
+        scale, clip = ("×", self.scale, 1.0), ("within", self.clip, None)
+        stated = scale, ("+", self.offset, 0.0), clip, ("samples", self.history, 1)
+        details = [f"{word} {each}" for word, each, usual in stated if each != usual]
         return " ".join([self.term or f"{self.name} (not known here)", *details])
 
 

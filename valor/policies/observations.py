@@ -41,6 +41,7 @@ class Term:
     input: str  # of the model
     size: int  # of a sample
     scale: FloatArray  # (size,), or (1,)
+    offset: FloatArray  # likewise, after the scale
     clip: tuple[float, float] | None  # before the scale
     history: int  # samples
     index: npt.NDArray[np.intp]  # of its joints in the robot's
@@ -49,9 +50,9 @@ class Term:
     quaternion_order: str
 
     def sample(self, moment: Moment) -> FloatArray:
-        """Return its (size,) present value, clipped and scaled."""
+        """Return its (size,) present value: clipped × scale + offset."""
         value = TERMS[self.name][1](moment, self)
-        return (value if self.clip is None else np.clip(value, *self.clip)) * self.scale
+        return (value if self.clip is None else np.clip(value, *self.clip)) * self.scale + self.offset
 
 
 def _orientation(moment: Moment, term: Term) -> FloatArray:

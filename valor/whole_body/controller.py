@@ -151,7 +151,9 @@ class WholeBodyController(Controller):
             self._gait.catch(state, self._recovery, foot, state.dcm_in_odom - self._desired.shift)
 
     def end(self) -> None:
-        """Give up control of the legs: discard the gait."""
+        """Give up control of the legs: discard the gait, and what its source knows of it."""
+        if self._gait.active:
+            self._gait.source.rested()
         self._gait.stop()
 
     def update(self, state: RobotState, request: Request, dt: float) -> WholeBodyCommand:

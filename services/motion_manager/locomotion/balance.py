@@ -72,9 +72,11 @@ class BalanceControl:
             self._fsm.go(Behavior.SOFT_STOP, fault)
 
     def _choose_steps(self, source: StepSource | None, now: float) -> None:
-        """Change the step source once the robot is at rest; change to Stand at the end of a plan."""
+        """Stop a walk for an exchange of controllers; change to Stand at the end of a plan."""
         steps = self._components.step_queue
         self._components.velocity_steps.advance(now)
+        if self._exchange.resting:
+            self._components.velocity_steps.stop()
         if not self._exchange.at_rest:
             return
         if steps.take_finished() and source is steps:

@@ -17,6 +17,7 @@ from valor.common.arrays import FloatArray
 from valor.common.behaviors import Locomotion
 from valor.common.messages import ControllerStatus
 from valor.control.controller import Controller, JointCommand, JointTargets, Request
+from valor.control.fall import SupportPolygon
 from valor.control.state import RobotState
 from valor.motion_manager.locomotion.supervision import Supervised
 from valor.motion_manager.safety import Stance
@@ -28,9 +29,9 @@ STARTED = 0.5  # duration of balance before an exchange, longer than the blend f
 SHADOW = 0.1  # duration of sound commands before control [s]
 BLEND = 0.3  # from one controller to the next [s]
 QUICK = 0.1  # to the Whole-Body Controller, from one that failed [s]
-WAITING = 3.0  # longest time for the conditions of an exchange [s]
+WAITING = 3.0  # longest time for the conditions of an exchange; half of it for rest [s]
 STILL = 0.05  # speed of the CoM at rest [m/s]
-SLOW = 0.15  # speed of the CoM at which the Whole-Body Controller takes over [m/s]
+INSIDE = 0.03  # least distance of the DCM inside the support polygon, between steps, fraction of the leg's length
 CALM = 0.2  # duration at rest before steps, after an exchange [s]
 SETTLED, LONGEST = 0.5, 4.0  # duration at rest before Soft Stop, after a failure; longest time until then [s]
 
@@ -72,6 +73,7 @@ class ControllerExchange:
     ) -> None:
         self._robot, self._whole_body, self._stance = robot, whole_body, stance
         self._others = {each.name: Supervised(robot, each, stance) for each in others}
+        self._support, self._inside = SupportPolygon(robot.tables.feet), INSIDE * robot.tables.size.leg
         self.allowed = robot.tables.controllers.names()
         self.chosen = {state: names[0] for state, names in self.allowed.items()}
         self.active: Controller = whole_body
@@ -94,6 +96,11 @@ class ControllerExchange:
     def at_rest(self) -> bool:
         """True if no step is under way."""
         return self.active.at_rest
+
+    @property
+    def resting(self) -> bool:
+        """True while the robot comes to rest for an exchange, and steps wait for who is to take them."""
+        return bool(self.pending) or self._arriving
 
     def footholds(self, state: RobotState) -> tuple[FloatArray, FloatArray] | None:
         """Soles after the step under way, see ``Controller``; if the controller does not know, under the DCM."""
@@ -157,7 +164,7 @@ class ControllerExchange:
         if self.pending:
             self._take_up(state, request, dt, now)
         self._arriving = self._arriving and self._calm < CALM
-        if self._arriving or self.pending:  # the robot comes to rest, and steps wait for who is to take them
+        if self.resting:
             request = replace(request, steps=None, velocity=np.zeros(3))
         command = self._of(self.active, state, request, dt)
         if command is None:
@@ -203,25 +210,40 @@ class ControllerExchange:
 
     def _take_up(self, state: RobotState, request: Request, dt: float, now: float) -> None:
         """Exchange the controllers if the conditions hold; reject the exchange if they do not for too long."""
-        name, reason = self.pending, self._stance.not_loaded(state)
-        if name == WHOLE_BODY:
-            urgent = request.locomotion is Locomotion.SOFT_STOP or now - self._since > WAITING
-            slow = not reason and state.com_speed < SLOW and now - self._since > 0.5 * WAITING
-            if urgent or slow or self.active.at_rest:
-                self._exchange(self._whole_body, state, now, BLEND)
-            return
-        supervised = self._others[name]
-        supervised.update(state, replace(request, velocity=np.zeros(3), steps=None), dt)
-        if not (reason := supervised.fault or reason or supervised.controller.refusal(state)):
-            shadow = max(SHADOW, supervised.controller.warm_up)
-            if supervised.sound >= shadow:
-                self._exchange(supervised.controller, state, now, BLEND)
-                return
-            reason = f"its commands were sound for {supervised.sound:.3f} s; expected {shadow:.3f} s"
-        if supervised.fault or now - self._since > WAITING:
-            self.chosen |= dict.fromkeys((each for each, chosen in self.chosen.items() if chosen == name), WHOLE_BODY)
-            self._withdraw()
-            self.reason = f"{name} does not take over: {reason}"
+        name, waited, supervised = self.pending, now - self._since, self._others.get(self.pending)
+        reason, fault = self._unready(state, waited), ""
+        if supervised is not None:
+            supervised.update(state, replace(request, velocity=np.zeros(3), steps=None), dt)
+            fault, shadow = supervised.fault, max(SHADOW, supervised.controller.warm_up)
+            reason = fault or reason or supervised.controller.refusal(state)
+            if not reason and supervised.sound < shadow:
+                reason = f"its commands were sound for {supervised.sound:.3f} s; expected {shadow:.3f} s"
+        elif request.locomotion is Locomotion.SOFT_STOP:
+            reason = ""
+        if not reason:
+            self._exchange(self.named(name), state, now, BLEND)
+        elif fault or waited > WAITING:
+            self._reject(reason)
+
+    def _unready(self, state: RobotState, waited: float) -> str:
+        """Reason why a state is not one for an exchange; empty if the robot is at rest, or later, between two steps."""
+        if (reason := self._stance.not_loaded(state)) or self.active.at_rest:
+            return reason
+        if waited < 0.5 * WAITING:
+            return "the robot does not come to rest"
+        depth = self._support.dcm_outside(state, -self._inside)
+        if depth is None:
+            return ""
+        return f"the DCM is {-depth:.3f} m inside the support polygon; expected at least {self._inside:.3f} m"
+
+    def _reject(self, reason: str) -> None:
+        """Return the choice of the pending controller to the one in control, where it is allowed."""
+        name, active = self.pending, self.active.name
+        for state, names in self.allowed.items():
+            if self.chosen[state] == name and active in (WHOLE_BODY, *names):
+                self.chosen[state] = active
+        self._withdraw()
+        self.reason = f"{name} does not take over: {reason}"
 
     def _exchange(self, controller: Controller, state: RobotState, now: float, duration: float) -> None:
         before = self.active

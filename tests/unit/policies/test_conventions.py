@@ -184,6 +184,8 @@ REJECTED: dict[str, tuple[Callable[..., Path], dict[str, Any], dict[str, Any], s
                MJLAB, r"observation: 30 numbers .*; expected 29"),
     "a list of scales": (mjlab, {"observation_terms_scale": "1,1"}, MJLAB, "observation: 2 values of .*scale"),
     "a scale": (mjlab, {"observation_terms_scale": "1;1,1,1,1,1,1"}, MJLAB, "observation base_ang_vel: scale"),
+    "an offset": (mjlab, {}, MJLAB | {"observation": [{"term": "velocity_command", "offset": [1, 2]}]},
+                  r"observation velocity_command: offset \(1.0, 2.0\); expected 1 or 3 numbers"),
     "histories of two dimensions": (mjlab, {"observation_terms_flatten_history_dim": ",".join(["False"] * 6)}, MJLAB,
                                     "observation joint_pos: .*dimension"),
     "holosoma's gaps": (holosoma, {}, {}, r"(?s)(?=.*default_position: )(?=.*observation: unk)(?=.*action_scale: unk)"),

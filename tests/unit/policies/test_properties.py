@@ -27,7 +27,8 @@ def test_histories(length: int, count: int, newest: bool, zeros: bool) -> None:
             "default_position": 0, "stiffness": 1, "damping": 1,
             "history_order": "newest_first" if newest else "oldest_first",
             "history_start": "zeros" if zeros else "repeat",
-            "observation": [{"term": "base_angular_velocity", "history": length}, "linear_velocity_command"],
+            "observation": [{"term": "base_angular_velocity", "history": length},
+                            {"term": "linear_velocity_command", "scale": [1.2, 1], "offset": [-0.2, 0.1]}],
         })  # fmt: skip
         policy = Policy(load(file, ESCHER), ESCHER)
     random = np.random.default_rng(count)
@@ -35,7 +36,9 @@ def test_histories(length: int, count: int, newest: bool, zeros: bool) -> None:
     targets = [policy.act(state) for state in states]
     first = np.zeros(3) if zeros else states[0].pelvis_angular_velocity
     past = ([first] * length + [state.pelvis_angular_velocity for state in states])[-length:]
-    expected = np.concatenate([*(past[::-1] if newest else past), states[-1].velocity_command[:2]])
+    expected = np.concatenate(
+        [*(past[::-1] if newest else past), [1.2, 1] * states[-1].velocity_command[:2] + [-0.2, 0.1]]
+    )
     assert targets[-1].position == pytest.approx(expected, abs=1e-6)
 
 

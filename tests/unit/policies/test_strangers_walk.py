@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from harness.strangers import ROBOTS, policy_of
+from harness.strangers import PLAYGROUND, ROBOTS, policy_of
 from valor.common.behaviors import Behavior
 from valor.policies.factories import policy_controller
 from valor.robot.description import RobotDescription
@@ -47,6 +47,16 @@ def test_a_policy_takes_over_is_pushed_walks_and_gives_back(robot: RobotDescript
     for name in TESTS:
         result = tests[name]()
         assert result.passed, (name, result.reason)
+
+
+@pytest.mark.parametrize("robot", ["g1"], indirect=True)
+@pytest.mark.parametrize("name", [Behavior.WALK, "give back"])
+def test_one_that_steps_in_place_walks_at_the_commanded_velocity_and_gives_back(
+    robot: RobotDescription, name: str, tmp_path: Path
+) -> None:
+    file = policy_of("g1", PLAYGROUND, tmp_path)
+    result = dict(ControllerTest(robot, "hardware", file.stem, partial(policy_controller, file)).tests())[name]()
+    assert result.passed, result.reason
 
 
 def test_one_with_a_wrong_scale_is_rejected_or_replaced_before_the_robot_falls(
