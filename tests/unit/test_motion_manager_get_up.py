@@ -89,7 +89,7 @@ def test_a_robot_without_a_table_refuses() -> None:
     assert "thor has no get_up.yaml" in GetUp(thor).rejection(Lying(90.0))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("pitch", "roll"), [(50.0, 0.0), (90.0, 45.0)])
+@pytest.mark.parametrize(("pitch", "roll"), [(50.0, 0.0), (90.0, 50.0)])
 def test_a_robot_that_is_not_where_a_pose_should_have_brought_it_goes_limp(pitch: float, roll: float) -> None:
     get_up, now = GetUp(ESCHER), 0.0
     get_up.begin(Lying(90.0), now)  # type: ignore[arg-type]
@@ -171,7 +171,7 @@ def test_a_robot_that_sways_on_is_waited_for_and_given_up() -> None:
         now += 0.01
         get_up.update(Lying(90.0), now)  # type: ignore[arg-type]
         assert not get_up.failure
-    reached = now + 2.2
+    reached = now + 1.7
     while not get_up.trouble and now < 60.0:
         now += 0.01
         get_up.update(Lying(90.0, rate=1.0), now)  # type: ignore[arg-type]
