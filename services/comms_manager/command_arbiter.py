@@ -84,6 +84,8 @@ class CommandArbiter:
             self._reflex.begin(self.motor)
             _log.warning("%s: in %s, the balance reflex brings the robot to stand", why, behavior)
         else:
+            if behavior == FALL and drives(self.motor):  # in the middle of a landing
+                self._activate(self._reflex.let_go(self._state, self.motor), FALL)
             self._rest(why)
 
     def measured(self, state: Proprioceptor) -> None:

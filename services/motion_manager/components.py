@@ -24,6 +24,7 @@ from valor.motion_manager.locomotion.balance import BalanceControl
 from valor.motion_manager.locomotion.driver import Drivers
 from valor.motion_manager.locomotion.exchange import ControllerExchange
 from valor.motion_manager.locomotion.get_up import GetUp
+from valor.motion_manager.locomotion.landing import Landing
 from valor.motion_manager.locomotion.posture_control import AT_REST, PostureControl
 from valor.motion_manager.safety import ControlAuthority, DeviceReactions, Stance
 from valor.robot.description import RobotDescription
@@ -70,6 +71,7 @@ class Components:
         self.step_queue = StepQueue()
         self.posture = PostureControl(robot, self.reference, self.command)
         self.get_up = GetUp(robot)
+        self.landing = Landing(robot)
         self.balance = BalanceControl(self)
         self.drivers = Drivers(self)
 

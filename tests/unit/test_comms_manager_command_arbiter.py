@@ -125,6 +125,13 @@ def test_fall_is_executed_at_once(state: str, request: pytest.FixtureRequest) ->
     assert (arbiter.admitted, arbiter.behavior) == (admitted, FALL), "once is enough"
 
 
+def test_a_robot_that_is_abandoned_in_a_landing_is_limp(bench: Bench) -> None:
+    bench.live(10, led=True)
+    assert drives(landing := bench.proposal(FALL)) and bench.arbiter.follow(landing, "motion_manager")
+    bench.arbiter.abandon("a test wants it so")
+    assert bench.arbiter.silent and bench.arbiter.limp and bench.arbiter.behavior == FALL
+
+
 def test_fall_is_executed_whatever_the_encoders_say(walking: Bench) -> None:
     walking.arbiter.measured(walking.proprioceptor(joint_position=np.full(len(ROBOT.joints), np.nan)))
     assert walking.order(FALL).accepted

@@ -85,6 +85,10 @@ class MotorCommand:
         """Command every joint by its servo gains, around a reference and an effort [rad, rad/s, N·m]."""
         self._set(self._servo, position, velocity, effort)
 
+    def land(self, position: FloatArray, velocity: FloatArray, stiffness: FloatArray) -> None:
+        """Command every joint by a servo of (n,) ``stiffness`` [N·m/rad]; position servos have their own."""
+        self._set(Drive(self._servo.mode, stiffness, self._servo.damping), position, velocity, self._zeros)
+
     def balance(
         self,
         command: JointCommand,

@@ -89,17 +89,25 @@ class PostureControl:
         self._command.hold(self._reference.position, self._reference.velocity, self.effort(now))
 
 
-class LimpDriver(Driver):
-    """No effort, only damping."""
+class FallDriver(Driver):
+    """No effort, only damping; after the landing, if the fall was detected and not requested."""
 
     states: ClassVar[tuple[Locomotion, ...]] = (Locomotion.FALL,)
     release = Release.LIMP
 
     def enter(self, before: Driver | None, state: RobotState, now: float) -> None:
         self.components.exchange.end()
+        self.components.landing.active = False
+        if before is not None and self.components.falling:
+            self.components.landing.begin(state, now)
 
     def drive(self, state: RobotState, now: float, dt: float) -> None:
-        self.components.command.limp(state.joint_position)
+        command, landing = self.components.command, self.components.landing
+        landing.update(now, dt)
+        if landing.active:
+            command.land(landing.position, landing.velocity, landing.stiffness)
+        else:
+            command.limp(state.joint_position)
 
 
 class HoldDriver(Driver):

@@ -1,0 +1,170 @@
+"""Falls after a push: what hits the ground, and how hard, with the landing and going limp at once.
+
+The simulator's truth: the largest force of the ground on the head, on both hands and forearms and on the trunk, in any
+physics step; and the robot's kinetic energy when anything but a foot first touches the ground.
+
+    .venv/bin/python -m benchmarks.falls [--robot NAME] [--seeds 5] [--profile hardware] [--direction NAME] [--each]
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the services run; NumPy reads it once
+
+import mujoco
+import numpy as np
+
+from harness.closed_loop import load_robot
+from harness.robot_in_process import RobotInProcess
+from valor.common.behaviors import Behavior
+from valor.motion_manager.locomotion.landing import Landing
+from valor.robot.description import RobotDescription
+from valor.robot.tables import WHOLE_BODY_GROUPS
+
+IMPULSE = 1.3  # by mass [N·s/kg]
+DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0, 1.0), "forward and left": (0.7, 0.7)}
+LASTS = 2.5  # from the push [s]
+PARTS = ("head", "hands", "trunk")
+
+
+class Impact(NamedTuple):
+    """What came of a fall."""
+
+    forces: np.ndarray  # (3,) largest on ``PARTS`` [N]
+    energy: float  # kinetic, at the first contact [J]
+    warning: float  # from the detection to that contact [s]
+    beyond: float  # largest excess of a joint over its limits [rad]
+    lies: str  # behavior in the end, and the attitude [°]
+
+
+def fall(run: RobotInProcess, direction: tuple[float, float], lands: bool) -> Impact:
+    """Push a standing robot over; ``lands``: False to go limp at once."""
+    plant, robot = run.plant, run.plant.model.robot
+    mj, data = plant.model.mj, plant.data
+    groups = parts(plant.model.mj, robot)
+    feet = [plant.model.body(foot.body) for foot in (robot.tables.feet.left, robot.tables.feet.right)]
+    moved = np.concatenate([robot.group_indices(group) for group in WHOLE_BODY_GROUPS])  # not fingers
+    forces, force = np.zeros(3), np.zeros(6)
+    energy = touched = detected = beyond = 0.0
+    if not lands:
+        Landing.begin = lambda *_: None  # type: ignore[method-assign]
+    mass = float(mj.body_mass.sum())
+    plant.push(IMPULSE * mass * np.array((*direction, 0.0)), 0.1)
+    step = plant.step
+
+    def watched(count: int) -> None:
+        nonlocal energy, touched, forces
+        for _ in range(count):
+            step(1)
+            now = np.zeros(3)
+            for row in range(data.ncon):
+                bodies = mj.geom_bodyid[data.contact[row].geom]
+                if 0 not in mj.body_weldid[bodies]:
+                    continue  # of the robot with itself
+                body = int(bodies.max())
+                mujoco.mj_contactForce(mj, data, row, force)
+                now[groups[body]] += np.linalg.norm(force[:3])
+                if not touched and body not in feet and force[0] > 1.0:
+                    touched = data.time
+                    mujoco.mj_energyVel(mj, data)
+                    energy = float(data.energy[1])
+            forces = np.maximum(forces, now)
+
+    plant.step = watched  # type: ignore[method-assign]
+    until = run.time + LASTS
+    while run.time < until:
+        run.step()
+        detected = detected or (data.time if run.behavior is Behavior.FALL else 0.0)
+        excess = np.maximum(plant.joint_position - robot.upper, robot.lower - plant.joint_position)
+        beyond = max(beyond, float(excess[moved].max()))
+    w, x, y, z = data.qpos[3:7]
+    pitch = np.degrees(np.arcsin(np.clip(2 * (w * y - x * z), -1, 1)))
+    return Impact(forces, energy, touched - detected, beyond, f"{run.behavior}, pitch {pitch:.0f}°")
+
+
+def parts(mj: mujoco.MjModel, robot: RobotDescription) -> list[list[int]]:
+    """Of each body, the indices of ``PARTS`` that it belongs to: none, or one."""
+    tables = robot.tables
+    found: list[list[int]] = [[] for _ in range(mj.nbody)]
+    arms = {int(mj.joint(name).bodyid[0]) for arm in ("left_arm", "right_arm") for name in tables.group(arm)[3:]}
+    for body in range(mj.nbody):
+        above, top = body, body
+        while above and above not in arms:
+            above = int(mj.body_parentid[above])
+        while top and mj.body(top).name != tables.head:
+            top = int(mj.body_parentid[top])
+        trunk = mj.body(body).name in (tables.chest, tables.base)
+        found[body] = [1] if above else [0] if top else [2] if trunk else []
+    return found
+
+
+def falls(robot: RobotDescription, profile: str, seed: int, directions: Sequence[str]) -> dict[str, list[Impact]]:
+    """Impacts by direction, limp and landing: each in a copy of the process, from the same robot, standing."""
+    run = RobotInProcess(robot, profile, seed)
+    assert not (refused := run.stand_up()), refused
+    run.run(0.5)
+    results: dict[str, list[Impact]] = {}
+    for direction in directions:
+        results[direction] = []
+        for lands in (False, True):
+            pipe, end = multiprocessing.Pipe()
+            child = multiprocessing.get_context("fork").Process(
+                target=lambda end=end, d=direction, lands=lands: end.send(fall(run, DIRECTIONS[d], lands))
+            )
+            child.start()
+            results[direction].append(pipe.recv())
+            child.join()
+    return results
+
+
+def table(robot: RobotDescription, profile: str, seeds: int, directions: Sequence[str], each: bool) -> Iterator[str]:
+    """Medians over the seeds, limp → landing."""
+    yield f"\n## Falls, {robot.name}, {profile}, {seeds} seeds: limp → landing\n"
+    heads = " | ".join(f"{part} [N]" for part in PARTS)
+    yield f"| pushed | {heads} | energy at the first contact [J] | warning [s] | beyond limits [rad] | lies |"
+    yield f"|{'---|' * 8}"
+    found = [falls(robot, profile, seed, directions) for seed in range(seeds)]
+    for direction in directions:
+        pairs = [result[direction] for result in found]
+        for rows in [[pair] for pair in pairs] * each + [pairs]:
+            limp, landing = zip(*rows, strict=True)
+            yield f"| {direction} | {' | '.join(cells(limp, landing))} |"
+
+
+def cells(limp: Sequence[Impact], landing: Sequence[Impact]) -> Iterator[str]:
+    """The cells of a row."""
+    for i in range(len(PARTS)):
+        yield change([one.forces[i] for one in limp], [one.forces[i] for one in landing])
+    yield change([one.energy for one in limp], [one.energy for one in landing])
+    yield f"{np.median([one.warning for one in landing]):.2f}"
+    yield f"{max(one.beyond for one in limp):.2f} → {max(one.beyond for one in landing):.2f}"
+    yield ", ".join(dict.fromkeys(one.lies for one in landing))
+
+
+def change(before: Sequence[float], after: Sequence[float]) -> str:
+    """Two medians, and by how much the second is larger."""
+    first, second = float(np.median(before)), float(np.median(after))
+    return f"{first:.0f} → {second:.0f}" + (f" ({100 * (second / first - 1):+.0f} %)" if first > 1.0 else "")
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--robot", default="escher")
+    parser.add_argument("--profile", default="hardware")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--direction", choices=DIRECTIONS, action="append")
+    parser.add_argument("--each", action="store_true", help="a row for each seed, too")
+    options = parser.parse_args()
+    directions = options.direction or list(DIRECTIONS)
+    for line in table(load_robot(options.robot), options.profile, options.seeds, directions, options.each):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()
