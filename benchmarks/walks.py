@@ -24,9 +24,12 @@ STEP_DURATION, SWAY_DURATION = 1.0, 0.4  # there [s]
 LENGTH = 0.3  # of steps on the landing, about [m]
 DOWN = 0.03  # further than the middle of a tread, so that the heel clears the edge [m]
 BEFORE, RUN_UP = 0.03, 0.16  # of the toes to the first riser, and the step before it [m]
-WALKS = ((0.2, 0, 0), (0.3, 0, 0), (0.5, 0, 0), (0.8, 0, 0), (-0.2, 0, 0), (0, 0.1, 0), (0.3, 0, 0.3))  # [m/s, rad/s]
+WALKS = (  # [m/s, rad/s]
+    (0.3, 0, 0), (0.5, 0, 0), (0.8, 0, 0), (1.2, 0, 0), (-0.2, 0, 0),
+    (0, 0.1, 0), (0, 0.4, 0), (0, 0, 0.8), (0.3, 0, 0.3),
+)  # fmt: skip
 WALK_DURATION = 20.0  # [s]
-COURSES = {"dirt": (0.45, 61.0), "rubble": (0.4, 4.0)}  # speed [m/s], way [m]
+COURSES = (("dirt", 0.45, 61.0), ("dirt", 0.8, 61.0), ("rubble", 0.4, 4.0))  # speed [m/s], way [m]
 
 
 HEADINGS = (
@@ -64,7 +67,7 @@ def courses(name: str, profile: str, seeds: int) -> Iterator[str]:
     robot = load_robot(name)
     yield f"\n## Courses, {profile}\n"
     yield heading("world", "seed")
-    for course, (speed, way) in COURSES.items():
+    for course, speed, way in COURSES:
         for seed in range(seeds):
             loop = standing_in(robot, profile, seed, course)
             yield f"| {course}, {speed} m/s | {seed} | {follow(loop, speed, way)} |"

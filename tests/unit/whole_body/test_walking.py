@@ -210,7 +210,7 @@ def test_steps_on_line_are_within_reach_and_alternate(command: tuple[float, floa
         soles[step.foot], last = step.sole, step.foot
 
 
-@pytest.mark.parametrize("command", [(0.4, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.08, 0.0), (0.0, -0.08, 0.0)])
+@pytest.mark.parametrize("command", [(0.4, 0.0, 0.0), (-0.2, 0.0, 0.0), (0.0, 0.08, 0.0), (0.0, -0.4, 0.0)])
 def test_steps_on_line_go_at_the_velocity(robot: RobotDescription, command: tuple[float, float, float]) -> None:
     taken = follow(VelocitySteps(robot.tables.walking), command, 20)
     way = taken[-1].sole.position - taken[-11].sole.position  # ten steps, of the same foot

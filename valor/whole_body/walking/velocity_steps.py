@@ -109,8 +109,9 @@ class VelocitySteps:
     def durations(self, velocity: FloatArray) -> tuple[float, float]:
         """Return durations of swing and transfer [s]: at speed steps are shorter in time, so that knees stay bent."""
         table = self._table
-        forward = float(velocity[0])
-        share = min(1.0, abs(forward) / table.full_speed)
+        forward, left, turn = map(abs, velocity.tolist())
+        # Aside, one step of two is as long as both; a turn moves the feet by half their distance, one of them back.
+        share = min(1.0, (forward + 2.0 * left + table.step_width * turn) / table.full_speed)
         return (
             table.swing_duration + share * (table.fast_swing_duration - table.swing_duration),
             table.transfer_duration + share * (table.fast_transfer_duration - table.transfer_duration),
