@@ -202,19 +202,19 @@ class DeviceReactions:
         """``stepping``: whether a step has not come to rest; until then Freeze is not possible."""
         self._fsm = fsm
         self._stepping = stepping
-        self._demand = Reaction.KEEP_BALANCE
+        self.demand = Reaction.KEEP_BALANCE  # the latest
         self._reason = ""
 
     def receive(self, status: DeviceStatus) -> None:
         """Store a demand; an unknown one counts as ``hold``."""
-        self._demand = next((reaction for reaction in Reaction if reaction == status.reaction), Reaction.HOLD)
+        self.demand = next((reaction for reaction in Reaction if reaction == status.reaction), Reaction.HOLD)
         self._reason = status.reason
 
     def update(self) -> None:
         """Change the behavior once a period, if the demand is not satisfied."""
-        if self._fsm.behavior in ENOUGH[self._demand]:
+        if self._fsm.behavior in ENOUGH[self.demand]:
             return
-        for behavior in DEMANDS[self._demand]:
+        for behavior in DEMANDS[self.demand]:
             if behavior is Behavior.FREEZE and self._stepping():
                 continue
             if behavior is self._fsm.behavior:

@@ -7,7 +7,8 @@ import pytest
 from harness.places import ROBOTS
 from harness.robot_in_process import RobotInProcess
 from harness.still_robot import Robot, tilted
-from valor.common.behaviors import Behavior
+from valor.common.behaviors import Behavior, Reaction
+from valor.common.messages import DeviceStatus
 from valor.comms_manager.command_arbiter import drives
 from valor.motion_manager.locomotion.landing import LONGEST
 from valor.robot.description import RobotDescription
@@ -40,14 +41,27 @@ def test_it_folds_its_legs_keeps_its_head_off_the_ground_and_is_limp_then(impuls
     assert not drives(run.motor) and run.behavior is Behavior.FALL
 
 
-def test_a_requested_fall_has_no_landing_and_freeze_ends_one() -> None:
-    robot = Robot().stand()
-    assert not robot.ask(Behavior.FALL)
-    assert not drives(robot.tick()), "requested: limp at once"
+def falls() -> Robot:
     falling = Robot().stand()
     while falling.behavior is not Behavior.FALL:
         motor = falling.tick(imu_orientation=tilted(1.2))
     assert drives(motor)
+    return falling
+
+
+def test_a_requested_fall_and_a_device_that_demands_limp_joints_have_no_landing() -> None:
+    for robot in (Robot().stand(), falls()):
+        assert not robot.ask(Behavior.FALL)
+        assert not drives(robot.tick()), "requested: limp at once"
+    robot = falls()
+    empty = np.zeros(0)
+    hot = DeviceStatus(0, [], [], [], empty, empty, empty, empty, empty, empty, Reaction.LIMP, "too hot")
+    robot.manager.components.device_reactions.receive(hot)
+    assert not drives(robot.tick())
+
+
+def test_freeze_ends_a_landing() -> None:
+    falling = falls()
     held = falling.tick().position
     assert not falling.ask(Behavior.FREEZE)
     assert np.abs(falling.tick().position - held).max() < 0.5 and falling.behavior is Behavior.FREEZE

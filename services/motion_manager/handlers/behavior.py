@@ -23,6 +23,8 @@ class BehaviorHandler(RequestHandler[BehaviorRequest, BehaviorReply]):
             return self._freeze(target, [] if request.limbs == [NO_LIMB] else request.limbs, origin)
         if target is not fsm.behavior and (reason := self.components.authority.rejection(target)):
             return self._reject(origin, "no_robot", reason, Obstacle.CONDITION)
+        if target is Behavior.FALL:
+            self.components.landing.active = False
         verdict = fsm.request(target, self.components.conditions(), origin)
         if not verdict.accepted:
             return self._reject(origin, target, verdict.reason, verdict.obstacle)

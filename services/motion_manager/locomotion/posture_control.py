@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.common.behaviors import Locomotion
+from valor.common.behaviors import Locomotion, Reaction
 from valor.control.motor_command import MotorCommand
 from valor.control.state import RobotState
 from valor.motion_manager.joints.joint_reference import JointReference
@@ -90,7 +90,7 @@ class PostureControl:
 
 
 class FallDriver(Driver):
-    """No effort, only damping; after the landing, if the fall was detected and not requested."""
+    """No effort, only damping; after a landing, if the fall was detected and limp joints are not demanded."""
 
     states: ClassVar[tuple[Locomotion, ...]] = (Locomotion.FALL,)
     release = Release.LIMP
@@ -104,7 +104,7 @@ class FallDriver(Driver):
     def drive(self, state: RobotState, now: float, dt: float) -> None:
         command, landing = self.components.command, self.components.landing
         landing.update(now, dt)
-        if landing.active:
+        if landing.active and self.components.device_reactions.demand is not Reaction.LIMP:
             command.land(landing.position, landing.velocity, landing.stiffness)
         else:
             command.limp(state.joint_position)
