@@ -209,6 +209,9 @@ def _motion(draft: RobotDraft) -> list[str]:
     ]
     if abs(stance.hip_height / stance.leg_length - Walking().hip_height / ESCHER.leg) > HIP_TOLERANCE:
         lines.append(f"  hip_height: {_n(stance.hip_height)}  # as in the nominal posture")
+    speed = _lateral_speed(stance)
+    if speed < Walking().max_lateral_speed * sqrt(stance.leg_length / ESCHER.leg):
+        lines.append(f"  max_lateral_speed: {_n(speed)}  # wider steps exceed footsteps.max_width")
     if narrowness(stance.leg_length, min(sole.half_width for sole in draft.geometry.soles.values())) < 1.0:
         response = 1 / (SMOOTH * (TORQUE_LAG + DELAY + VELOCITY_LAG + 1 / CONTROL_RATE))
         reason = "narrow soles tilt until ankles are near a limit; braking there must not be faster than the drives"
@@ -221,11 +224,28 @@ def _motion(draft: RobotDraft) -> list[str]:
 def _footsteps(stance: Stance) -> str:
     """Accept plans of steps; wider ones for a robot whose feet are far apart for its size."""
     usual, size = Footsteps(), stance.leg_length / ESCHER.leg
-    if stance.width <= WIDE * usual.max_distance * size:
+    if not _is_wide(stance):
         return "footsteps: {}"
     ahead = size * sqrt(usual.max_distance**2 - Walking().step_width ** 2)
-    farthest, widest = hypot(stance.width, ahead), max(usual.max_width * size, 1.5 * stance.width)
+    widest, farthest = _widest(stance), hypot(stance.width, ahead)
     return f"footsteps: {{ max_width: {_n(widest)}, max_distance: {_n(farthest)} }}  # the stance is wide"
+
+
+def _is_wide(stance: Stance) -> bool:
+    return stance.width > WIDE * Footsteps().max_distance * stance.leg_length / ESCHER.leg
+
+
+def _widest(stance: Stance) -> float:
+    """Return the largest distance of the feet in a step [m]."""
+    usual = Footsteps().max_width * stance.leg_length / ESCHER.leg
+    return max(usual, 1.5 * stance.width) if _is_wide(stance) else usual
+
+
+def _lateral_speed(stance: Stance) -> float:
+    """Return the speed at which steps aside reach ``footsteps.max_width`` [m/s]: one of two makes the way of both."""
+    walking, slower = Walking(), sqrt(stance.leg_length / ESCHER.leg)
+    period = slower * (walking.fast_swing_duration + walking.fast_transfer_duration)
+    return 0.5 * (_widest(stance) - stance.width) / period
 
 
 def frames(robot: Skeleton) -> dict[str, int | str]:
