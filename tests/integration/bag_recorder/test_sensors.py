@@ -70,7 +70,7 @@ def body_in_world(name: str) -> Pose:
 def assert_stairs(heights: FloatArray) -> None:
     for height in (0.0, 0.1, 0.2, 0.3):
         level = heights[np.abs(heights - height) < 0.045]
-        assert level.size > 300 and np.median(level) == pytest.approx(height, abs=0.015)
+        assert level.size > 150 and np.median(level) == pytest.approx(height, abs=0.015)
 
 
 def test_a_stock_tool_finds_the_stairs_in_a_bag_of_the_sensors(instance: RunningInstance, ros: Node) -> None:
