@@ -33,12 +33,12 @@ PARTS = ("head", "hands", "trunk")
 
 
 class Impact(NamedTuple):
-    """What came of a fall."""
+    """Outcome of a fall."""
 
     forces: np.ndarray  # (3,) largest on ``PARTS`` [N]
     energy: float  # kinetic, at the first contact [J]
     warning: float  # from the detection to that contact [s]
-    beyond: float  # largest excess of a joint over its limits [rad]
+    excess: float  # largest excess of a joint over its limits [rad]
     lies: str  # behavior in the end, and the attitude [°]
 
 
@@ -50,7 +50,7 @@ def fall(run: RobotInProcess, direction: tuple[float, float], lands: bool) -> Im
     feet = [plant.model.body(foot.body) for foot in (robot.tables.feet.left, robot.tables.feet.right)]
     moved = np.concatenate([robot.group_indices(group) for group in WHOLE_BODY_GROUPS])  # not fingers
     forces, force = np.zeros(3), np.zeros(6)
-    energy = touched = detected = beyond = 0.0
+    energy = touched = detected = outside = 0.0
     if not lands:
         Landing.begin = lambda *_: None  # type: ignore[method-assign]
     mass = float(mj.body_mass.sum())
@@ -81,14 +81,14 @@ def fall(run: RobotInProcess, direction: tuple[float, float], lands: bool) -> Im
         run.step()
         detected = detected or (data.time if run.behavior is Behavior.FALL else 0.0)
         excess = np.maximum(plant.joint_position - robot.upper, robot.lower - plant.joint_position)
-        beyond = max(beyond, float(excess[moved].max()))
+        outside = max(outside, float(excess[moved].max()))
     w, x, y, z = data.qpos[3:7]
     pitch = np.degrees(np.arcsin(np.clip(2 * (w * y - x * z), -1, 1)))
-    return Impact(forces, energy, touched - detected, beyond, f"{run.behavior}, pitch {pitch:.0f}°")
+    return Impact(forces, energy, touched - detected, outside, f"{run.behavior}, pitch {pitch:.0f}°")
 
 
 def parts(mj: mujoco.MjModel, robot: RobotDescription) -> list[list[int]]:
-    """Of each body, the indices of ``PARTS`` that it belongs to: none, or one."""
+    """Indices of ``PARTS`` that each body belongs to: none, or one."""
     tables = robot.tables
     found: list[list[int]] = [[] for _ in range(mj.nbody)]
     arms = {int(mj.joint(name).bodyid[0]) for arm in ("left_arm", "right_arm") for name in tables.group(arm)[3:]}
@@ -126,7 +126,7 @@ def table(robot: RobotDescription, profile: str, seeds: int, directions: Sequenc
     """Medians over the seeds, limp → landing."""
     yield f"\n## Falls, {robot.name}, {profile}, {seeds} seeds: limp → landing\n"
     heads = " | ".join(f"{part} [N]" for part in PARTS)
-    yield f"| pushed | {heads} | energy at the first contact [J] | warning [s] | beyond limits [rad] | lies |"
+    yield f"| pushed | {heads} | energy at the first contact [J] | warning [s] | outside limits [rad] | lies |"
     yield f"|{'---|' * 8}"
     found = [falls(robot, profile, seed, directions) for seed in range(seeds)]
     for direction in directions:
@@ -142,7 +142,7 @@ def cells(limp: Sequence[Impact], landing: Sequence[Impact]) -> Iterator[str]:
         yield change([one.forces[i] for one in limp], [one.forces[i] for one in landing])
     yield change([one.energy for one in limp], [one.energy for one in landing])
     yield f"{np.median([one.warning for one in landing]):.2f}"
-    yield f"{max(one.beyond for one in limp):.2f} → {max(one.beyond for one in landing):.2f}"
+    yield f"{max(one.excess for one in limp):.2f} → {max(one.excess for one in landing):.2f}"
     yield ", ".join(dict.fromkeys(one.lies for one in landing))
 
 

@@ -92,6 +92,6 @@ def standing(robot: RobotDescription, profile: str, seed: int) -> MeasuredLoop:
 
 
 def cell(loop: MeasuredLoop) -> str:
-    """What came of a test."""
+    """Outcome of a test."""
     error = loop.measurements().dcm_error or 0.0
     return f"{loop.fall or ''} {1e3 * error:.1f}".strip()

@@ -66,7 +66,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a robot does and how it is pushed."""
+    """Motion of the robot, and place and number of its pushes."""
 
     walk: VelocitySteps | None = None  # None: it stands
     body: str = ""  # pushed; empty: the chest
@@ -302,7 +302,7 @@ def main() -> None:
 
 
 def asked() -> argparse.Namespace:
-    """What the command line asks for."""
+    """Options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", default="escher", help="name, or absolute path of a folder")
     parser.add_argument("--profile", default="hardware")

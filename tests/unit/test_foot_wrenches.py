@@ -21,7 +21,7 @@ def wrenches(measured: Proprioceptor) -> np.ndarray:
 
 
 def walked(robot: RobotDescription, seconds: float) -> tuple[ClosedLoop, list[Proprioceptor]]:
-    """Of a robot that walks, after it stood: what it measured."""
+    """Measurements of a robot that stands, then walks."""
     loop = ClosedLoop(robot, "hardware")
     measured: list[Proprioceptor] = []
     measure = loop.sensors.measure
@@ -44,7 +44,7 @@ def walked(robot: RobotDescription, seconds: float) -> tuple[ClosedLoop, list[Pr
 
 @pytest.fixture(scope="module")
 def walk() -> list[Proprioceptor]:
-    """With sensors."""
+    """Measurements with force/torque sensors in the feet."""
     return walked(SENSED, 2.5)[1]
 
 

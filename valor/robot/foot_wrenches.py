@@ -29,7 +29,7 @@ from valor.robot.model import Model, compiled, robot_spec, weld_others
 BANDWIDTH = 30.0  # of the low-pass [Hz]
 LOADED = (0.08, 0.12)  # vertical force up to which there is none, and from which it is as estimated, by the weight
 DAMPING = 0.012  # of the inverse, as a singular value by the leg's length; 0.2 is that of a bent knee
-LONGEST_GAP = 20_000_000  # longest period that is filtered; later measurements start anew [ns]
+LONGEST_GAP = 20_000_000  # longest period that is filtered; after a longer one the filter starts again [ns]
 
 
 def completion(robot: RobotDescription) -> Callable[[Proprioceptor], Proprioceptor]:

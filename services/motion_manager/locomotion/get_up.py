@@ -236,7 +236,7 @@ def turning(state: RobotState) -> float:
 
 
 def lying(state: RobotState) -> Posture | None:
-    """How the robot lies, by the estimated pelvis attitude; None if it does not."""
+    """Way of lying, by the estimated pelvis attitude; None if the robot does not lie."""
     forward, left, up = state.pelvis_rotation_in_odom[2].tolist()  # upwards
     if up > UPRIGHT:
         return None
