@@ -99,13 +99,11 @@ def measured(robot: RobotDescription, profile: str, controller: str) -> dict[str
         loop = ready(robot, profile, controller)
     except RuntimeError as error:
         return {"reason": str(error)}
-    model = loop.plant.model
-    mass = float(model.mj.body_subtreemass[model.body(robot.tables.base)])
     found: dict[str, Any] = {"speed": forked(walked, loop, controller, SPEED), "pushes": []}
     for direction in DIRECTIONS.values():
         survived = 0.0
         for impulse in LADDER:
-            if not forked(pushed, loop, controller, impulse * mass, direction):
+            if not forked(pushed, loop, controller, impulse * robot.tables.size.mass, direction):
                 break
             survived = float(impulse)
         found["pushes"].append(survived)
