@@ -16,6 +16,7 @@ import msgspec
 import websockets.asyncio.server
 from msgspec import Meta, Struct
 from viser import ViserServer
+from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.http11 import Request, Response
 
@@ -64,6 +65,29 @@ _MESSAGES: dict[str, _Fields] = {
 _DECODER: msgspec.msgpack.Decoder[Struct] = msgspec.msgpack.Decoder(
     Union[tuple(msgspec.defstruct(name, fields, tag_field="type") for name, fields in _MESSAGES.items())]  # noqa: UP007
 )
+
+
+_push_of_viser = AsyncMessageBuffer.push
+
+
+def _push(buffer: AsyncMessageBuffer, message: Any) -> None:
+    """``push`` of viser's buffers, from any thread.
+
+    viser's own sets an ``asyncio.Event`` last, which raises if the event loop changes its waiters meanwhile: the
+    message is in the buffer, but not all of them are awake.
+    """
+
+    def wake() -> None:
+        buffer.message_event.clear()
+        buffer.message_event.set()
+
+    try:
+        _push_of_viser(buffer, message)
+    except RuntimeError:
+        buffer.event_loop.call_soon_threadsafe(wake)
+
+
+AsyncMessageBuffer.push = _push  # type: ignore[assignment,method-assign]
 
 
 class Viewer(ServerConnection):

@@ -98,7 +98,7 @@ def test_who_fails_is_replaced_before_the_robot_falls(what: str) -> None:
     assert robot.exchange.active.name == WHOLE_BODY
     assert robot.behavior is Behavior.SOFT_STOP, robot.manager.fsm.reason
     assert "spoiled: " in robot.manager.fsm.reason and named in robot.manager.fsm.reason
-    assert abs(robot.plant.data.qpos[2] - height) < 0.02
+    assert abs(robot.plant.data.qpos[2] - height) < 0.05  # feet that stepped may be farther apart
 
 
 def test_who_is_unsound_in_shadow_does_not_take_over() -> None:

@@ -26,6 +26,7 @@ class ScriptedMotionManager:
         # Latched, for such a publisher alone knows who receives it.
         self._state = node.publisher(MOTION_STATE.name, MotionState, latched=True)
         self._status = node.publisher(STEP_STATUS.name, StepStatus, latched=True)
+        self._publishing = threading.Lock()  # a publisher is of one thread at a time
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -45,7 +46,8 @@ class ScriptedMotionManager:
 
     def publish(self) -> None:
         assert self.step_status is not None
-        self._status.publish(self.step_status)
+        with self._publishing:
+            self._status.publish(self.step_status)
 
     def wait_until_received(self) -> None:
         """Until the converter receives what is said of the plan."""
@@ -63,7 +65,8 @@ class ScriptedMotionManager:
             status = self.step_status
             if status is not None:
                 status.time += 1_000_000
-                self._status.publish(status)
+                with self._publishing:
+                    self._status.publish(status)
             time = status.time + 1 if status else 0
             self._state.publish(motion_state(time=time, behavior=self.behavior, reason=self.reason))
 
