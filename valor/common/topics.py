@@ -106,7 +106,7 @@ CONTROLLERS     = Topic("motion_manager/controllers",        m.ControllerStatus,
 REJECTION       = Topic("motion_manager/rejection",          m.Rejection,         _MOTION, None,         1, "rejected commands, with the reason")
 STEP_STATUS     = Topic("motion_manager/step_status",        m.StepStatus,        _MOTION, 10.0,         1, "progress of a footstep plan")
 JOINT_SETPOINTS = Topic("motion_manager/joint_setpoints",    m.JointSetpoints,    _VRC,    None,         1, "set-points by joint name", queue=16)
-JOINT_COMMANDS  = Topic("motion_manager/joint_commands",     m.JointCommands,     _VRC,    None,         0, "commands of a balance controller outside the Motion System", queue=4)
+JOINT_COMMANDS  = Topic("motion_manager/joint_commands",     m.JointCommands,     _VRC,    None,         1, "commands of a balance controller outside the Motion System", queue=4)
 VELOCITY        = Topic("motion_manager/velocity",           m.VelocityCommand,   _VRC,    None,         1, "walking velocity; times out", queue=4)
 PELVIS          = Topic("motion_manager/pelvis",             m.PelvisSetpoint,    _VRC,    None,         1, "desired pose of the pelvis", queue=16)
 HAND_GOAL       = Topic("motion_manager/hand_goal",          m.HandGoal,          _VRC,    None,         1, "desired pose of a hand", queue=4)
