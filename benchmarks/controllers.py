@@ -33,6 +33,8 @@ CASES: Mapping[str, tuple[str, str, Iterable[str]]] = {  # robot's name, its mod
     "thor": ("thor", "", ()),
     "g1": ("g1", "g1_holosoma", ("ppo", "fastsac")),
     "t1_29": ("t1", "t1_29", ("ppo", "fastsac")),
+    "t1": ("t1", "t1", (PLAYGROUND,)),
+    "apollo": ("apollo", "apollo", (PLAYGROUND,)),
     "berkeley_humanoid": ("berkeley_humanoid", "berkeley_humanoid", (PLAYGROUND,)),
 }
 SPEED = 0.3  # [m/s]
