@@ -9,8 +9,8 @@ import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
+from valor.get_up_planning.rollouts import topple
 from valor.robot.get_up_table import Posture
-from valor.robot.tables import SIDES
 from valor.self_test import robot_in_process
 
 LYING = 3.0  # after a fall [s]
@@ -54,19 +54,8 @@ class RobotInProcess(robot_in_process.RobotInProcess):
         self.step()
         for behavior in (Behavior.STAND, Behavior.FALL):
             self.manager.fsm.go(behavior, "toppled")
-        model, data, robot, rng = self.plant.model, self.plant.data, self.plant.model.robot, np.random.default_rng(seed)
-        heading = {"face": 0.0, "left": 0.5, "back": 1.0, "right": 1.5}[way] * np.pi + rng.uniform(-0.5, 0.5)
-        tilt = rng.uniform(0.6, 1.2)  # [rad]
-        data.qpos[2] = robot.tables.nominal_base_height + 0.1
-        data.qpos[3:7] = (np.cos(tilt / 2), *(np.sin(tilt / 2) * np.array([-np.sin(heading), np.cos(heading), 0.0])))
-        arms = [robot.index[name] for side in SIDES for name in robot.tables.group(f"{side}_arm")]
-        share, spread = np.full(len(robot.joints), 0.1), rng.uniform(robot.lower.clip(-2.0), robot.upper.clip(max=2.0))
-        share[arms] = rng.uniform(0.0, 0.9)
-        posture = robot.nominal_posture + share * (spread - robot.nominal_posture)
-        data.qpos[model.qpos] = posture.clip(robot.lower, robot.upper)
-        data.qvel[:] = 0.0
-        data.qvel[3:6] = rng.normal(0.0, 0.5, 3)
-        mujoco.mj_forward(model.mj, data)
+        topple(self.plant.model, self.plant.data, way, np.random.default_rng(seed))
+        mujoco.mj_forward(self.plant.model.mj, self.plant.data)
         self.run(LYING)
 
     def get_up(self) -> str:

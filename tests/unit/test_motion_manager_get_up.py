@@ -10,9 +10,9 @@ from harness.places import ROBOTS
 from harness.robot_in_process import RobotInProcess
 from valor.common.arrays import FloatArray
 from valor.common.behaviors import Behavior
-from valor.motion_manager.locomotion.get_up import ATTEMPTS, GetUp, SoleBalance, lying
+from valor.motion_manager.locomotion.get_up import ATTEMPTS, GetUp, SoleBalance
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import Balance, Posture
+from valor.robot.get_up_table import Balance, Posture, lying
 
 ESCHER = RobotDescription.load(ROBOTS / "escher")
 
@@ -53,7 +53,7 @@ class Lying:
 )
 def test_how_it_lies_is_seen_from_the_attitude_of_its_pelvis(pitch: float, roll: float, way: Posture | None) -> None:
     state, get_up = Lying(pitch, roll), GetUp(ESCHER)
-    assert lying(state) is way  # type: ignore[arg-type]
+    assert lying(state.pelvis_rotation_in_odom[2]) is way
     reason = get_up.rejection(state)  # type: ignore[arg-type]
     assert reason == "" if way else "it does not lie" in reason and "face, right, left, back" in reason
     assert "does not lie still" in get_up.rejection(Lying(pitch, roll, rate=2.0))  # type: ignore[arg-type]
@@ -124,7 +124,7 @@ def test_a_robot_that_is_held_down_goes_limp_and_is_stopped() -> None:
 def test_from_its_back_it_rolls_over_to_its_face() -> None:
     run = RobotInProcess(ESCHER, "hardware", seed=1)
     run.topple(Posture.BACK, seed=1)
-    assert lying(run.manager.components.state) is Posture.BACK  # type: ignore[arg-type]
+    assert (state := run.manager.components.state) and lying(state.pelvis_rotation_in_odom[2]) is Posture.BACK
     assert run.ask(Behavior.GET_UP) == ""
     assert run.run_until(lambda: "to standing" in run.manager.fsm.reason, 8.0)
 

@@ -30,7 +30,9 @@ def test_a_model_becomes_a_valid_folder(here: Path, valorctl: Valorctl) -> None:
     assert status == 0
     for words in ("mine: 38 joints, 75.9 kg", "l_knee_pitch, r_knee_pitch", " × 14.9 cm"):
         assert words in reported
-    assert reported.endswith("Next:\n  valorctl robot check mine\n  valorctl up --robot mine\n")
+    assert reported.endswith(
+        "Next:\n  valorctl robot check mine\n  valorctl robot get-up mine\n  valorctl up --robot mine\n"
+    )
     assert sorted(file.name for file in here.iterdir()) == ["mine"]
     assert {"model.xml", "robot.yaml"} <= {file.name for file in (here / "mine").iterdir()}
     assert RobotDescription.load(here / "mine").name == "mine"

@@ -1,1 +1,1 @@
-"""Offline planning of Get Up by optimisation: ``python -m valor.get_up_planning ROBOT`` makes ``get_up.yaml``."""
+"""Search for the motions by which a robot gets up, in simulation: ``valorctl robot get-up`` makes ``get_up.yaml``."""

@@ -14,12 +14,12 @@ _LEFT, _RIGHT = "left_", "right_"  # prefixes of group names
 
 
 @lru_cache(maxsize=8)
-def _image(robot: RobotDescription) -> tuple[npt.NDArray[np.intp], FloatArray]:
+def counterparts(robot: RobotDescription) -> tuple[npt.NDArray[np.intp], FloatArray]:
     """Return of each joint (n,) the counterpart, by its index in the groups, and the sign of its angle.
 
     An axis (x, y, z) is a pseudo-vector; its image in the sagittal plane is (−x, y, −z).
     """
-    groups, counterparts = robot.tables.groups, np.arange(len(robot.joints))
+    groups, indices = robot.tables.groups, np.arange(len(robot.joints))
     for name, left in groups.items():
         if name.startswith(_LEFT):
             right = robot.tables.group(_RIGHT + name.removeprefix(_LEFT))
@@ -27,17 +27,17 @@ def _image(robot: RobotDescription) -> tuple[npt.NDArray[np.intp], FloatArray]:
                 what = f"{len(left)} joints, its counterpart {len(right)}; expected equal numbers"
                 raise robot.error(["groups", name], what)
             one, other = ([robot.index[joint] for joint in side] for side in (left, right))
-            counterparts[one], counterparts[other] = other, one
+            indices[one], indices[other] = other, one
     model = full_model(robot)
     data = mujoco.MjData(model.mj)
     mujoco.mj_kinematics(model.mj, data)
     axes = np.array([data.joint(name).xaxis for name in robot.joints])
-    signs = np.where((axes * (-1.0, 1.0, -1.0) * axes[counterparts]).sum(1) < 0.0, -1.0, 1.0)
-    return counterparts, signs
+    signs = np.where((axes * (-1.0, 1.0, -1.0) * axes[indices]).sum(1) < 0.0, -1.0, 1.0)
+    return indices, signs
 
 
 def mirrored(robot: RobotDescription, position: FloatArray) -> FloatArray:
     """Return the joint positions (…, n) of the mirror image [rad]. Raises ConfigurationError: the sides differ."""
-    counterparts, signs = _image(robot)
-    image: FloatArray = signs * position[..., counterparts]
+    indices, signs = counterparts(robot)
+    image: FloatArray = signs * position[..., indices]
     return image

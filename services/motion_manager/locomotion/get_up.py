@@ -10,7 +10,7 @@ middle.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import asin, atan2, cos, degrees, radians, sqrt
+from math import asin, atan2, degrees, sqrt
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from valor.control.state import RobotState
 from valor.motion_manager.locomotion.driver import Driver
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import FILE, Balance, KeyPose, Motion, Posture, load, other
+from valor.robot.get_up_table import FILE, Balance, KeyPose, Motion, Posture, load, lying, other
 from valor.robot.mirror import mirrored
 from valor.robot.posture_move import PostureMove
 
@@ -30,8 +30,6 @@ COMING_TO_REST = 2.0  # timeout for rest after a pose's hold [s]
 RESTING = 0.3  # time at rest before the robot looks how it lies [s]
 SETTLING = 6.0  # timeout for it [s]
 ATTEMPTS = 5  # motions that fail, at most
-UPRIGHT = cos(radians(35.0))  # the pelvis of a robot that does not lie points higher up
-ON_ITS_SIDE = (40.0, 140.0)  # angle about the pelvis axis from lying on the back; outside: back, face [deg]
 COM_SPEED_FILTER = 0.03  # time constant [s]
 LOWEST_COM = 0.3  # height above the soles for the DCM, at least [m]
 GRAVITY = 9.81  # [m/s²]
@@ -87,13 +85,13 @@ class GetUp:
     def rejection(self, state: RobotState) -> str:
         """Reason why the robot cannot get up from its present pose; empty if it can."""
         if self._table is None:
-            return f"getting up is not available: {self._robot.name} has no {FILE}"
+            return f"getting up is not available: {self._robot.name} has no {FILE}; `valorctl robot get-up` makes it"
         if (rate := turning(state)) > AT_REST:
             return f"the robot does not lie still: the pelvis rotates at {rate:.1f} rad/s; expected at most {AT_REST}"
         return self._no_way(state)
 
     def _no_way(self, state: RobotState) -> str:
-        way = lying(state)
+        way = lying(state.pelvis_rotation_in_odom[2])
         if way in self.ways:
             return ""
         pitch, roll = attitude(state)
@@ -141,7 +139,7 @@ class GetUp:
             self._go(self._move.goal, now)
         elif self.way.to is Posture.STANDING:
             self.done = True
-        elif (way := lying(state)) is self.way.to:
+        elif (way := lying(state.pelvis_rotation_in_odom[2])) is self.way.to:
             self._look(state, now)
         else:
             self.abandon(f"after {pose.name} it lies on its {way or 'feet'}; expected {self.way.to}", now)
@@ -168,7 +166,7 @@ class GetUp:
 
     def _look(self, state: RobotState, now: float) -> None:
         """Start the motion for how the robot lies, or fail."""
-        start = lying(state)
+        start = lying(state.pelvis_rotation_in_odom[2])
         if start is None or start not in self.ways:
             self.failure = f"{self._no_way(state)}; {self.trouble}"
         elif self._failed == ATTEMPTS:
@@ -233,19 +231,6 @@ def attitude(state: RobotState) -> tuple[float, float]:
 def turning(state: RobotState) -> float:
     """Largest angular velocity of the pelvis about one of its axes [rad/s]."""
     return float(np.abs(state.pelvis_angular_velocity_in_pelvis).max())
-
-
-def lying(state: RobotState) -> Posture | None:
-    """Way of lying, by the estimated pelvis attitude; None if the robot does not lie."""
-    forward, left, up = state.pelvis_rotation_in_odom[2].tolist()  # upwards
-    if up > UPRIGHT:
-        return None
-    around = degrees(atan2(left, forward))  # 0 on the back, 90 on the right side
-    if abs(around) < ON_ITS_SIDE[0]:
-        return Posture.BACK
-    if abs(around) > ON_ITS_SIDE[1]:
-        return Posture.FACE
-    return Posture.RIGHT if around > 0.0 else Posture.LEFT
 
 
 class GetUpDriver(Driver):

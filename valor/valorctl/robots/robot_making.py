@@ -47,6 +47,7 @@ def make(model: Path, name: str | None, out: Path | None, *, guess: bool, replac
     here = shlex.quote(f"./{folder}" if str(folder) in robots() else str(folder))
     say(f"\n{folder}: model.xml and {TABLE}, which explains every guess. Next:")
     say(f"  valorctl robot check {here}")
+    say(f"  valorctl robot get-up {here}")
     say(f"  valorctl up --robot {here}")
 
 

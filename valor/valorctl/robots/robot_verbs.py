@@ -1,4 +1,4 @@
-"""``robot new``, ``robot check``, ``robot show``, ``robot moveit``."""
+"""``robot new``, ``robot get-up``, ``robot check``, ``robot show``, ``robot moveit``."""
 
 from __future__ import annotations
 
@@ -113,6 +113,25 @@ def new(
     from valor.valorctl.robots import robot_making
 
     robot_making.make(model, name, out, guess=yes, replace=force)
+
+
+@robot.command("get-up")
+def get_up(named: Named) -> None:
+    """Search for the motions by which the robot gets up, in simulation, for some minutes; writes get_up.yaml."""
+    from valor.get_up_planning.plan import plan
+    from valor.robot.description import RobotDescription
+    from valor.robot.get_up_table import FILE
+
+    folder = robot_folder(named)
+    with progress() as shown, Interruption() as interruption:
+
+        def report(stage: str) -> None:
+            interruption.check()
+            shown.stage(stage)
+
+        content = plan(RobotDescription.load(folder), report)
+    (folder / FILE).write_text(content)
+    say(f"{folder / FILE}: written")
 
 
 @robot.command()
