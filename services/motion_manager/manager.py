@@ -152,7 +152,7 @@ class MotionManager:
         for side, force in enumerate(components.hand_loads.resisted):
             if force:
                 most = components.robot.tables.hands.most_pressing
-                reason = f"it presses with {force:.0f} N; expected at most {most:g} N"
+                reason = f"it presses or lifts with {force:.0f} N; expected at most {most:g} N"
                 components.hand_goals.give_way(side, reason, state.joint_position, now)
         components.hand_goals.advance(state, state.joint_position, now, dt)
         components.reference.advance(now, dt)

@@ -13,7 +13,6 @@ from harness.waiting import some
 from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.motion_manager.hands.hand_goals import seen_from_pelvis
-from valor.motion_manager.hands.hand_loads import HEAVIEST
 
 LEFT, RIGHT = slice(0, 7), slice(7, 14)
 SMALL = st.floats(-1.0, 1.0)
@@ -58,9 +57,12 @@ def test_a_load_is_held_by_the_arm_that_carries_it_and_forgotten_when_it_is_put_
     assert parts.hand_loads.weights == [0.0, 0.0] and not parts.servos.load.any()
 
 
-def test_no_more_is_held_than_the_heaviest(standing: Robot) -> None:
-    standing.run(2.0, right_hand_wrench=in_hand(np.array((0.0, 0.0, -500.0))))
-    assert standing.manager.components.hand_loads.weights[1] == pytest.approx(HEAVIEST, rel=0.01)
+def test_a_hand_that_lifts_in_vain_is_resisted_and_lifts_no_more(standing: Robot) -> None:
+    loads = standing.manager.components.hand_loads
+    standing.run(2.0, right_hand_wrench=in_hand(np.array((0.0, 0.0, -55.0))))
+    assert loads.weights[1] == pytest.approx(55.0, rel=0.01) and not loads.resisted[1]
+    standing.run(0.3, right_hand_wrench=in_hand(np.array((0.0, 0.0, -100.0))))
+    assert loads.resisted[1] == pytest.approx(100.0, abs=0.1) and loads.weights == [0.0, 0.0]
     standing.run(2.0)
 
 

@@ -1,8 +1,8 @@
 """Contacts and loads of the hands, by the forces of their wrist sensors.
 
 A hand that is pulled down carries a load; its smoothed weight is compensated by the arm's joints with Jᵀ·weight. A hand
-that is pushed sideways or up presses on something; its servos then integrate no further. A hand that presses with more
-than ``most_pressing`` for ``RESISTED`` is *resisted*: the object does not give, and the robot would tip.
+that is pushed sideways or up presses on something; its servos then integrate no further. A hand that presses or lifts
+with more than ``most_pressing`` for ``RESISTED`` is *resisted*: the object does not give, and the robot would tip.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from valor.robot.tables import Hands
 
 LOOK = 0.02  # period of updates [s]
 SMOOTHING = 0.3  # time constant of a load [s]
-HEAVIEST = 60.0  # largest load that is compensated [N]
 NOTHING = 1.0  # smallest load [N]
 RESISTED = 0.1  # duration of a large force, so that knocks do not count [s]
 
@@ -98,13 +97,13 @@ class HandLoads:
             touching = bool(contacts.contacts[side])
             force = self._data.site_xmat[site].reshape(3, 3) @ wrenches[side][:3]
             pressed = _pressed(force) if touching else 0.0
-            pressing = pressed > self._pressing
-            self._resist(side, pressed, now)
+            self._resist(side, max(pressed, -float(force[2])), now)
+            pressing = pressed > self._pressing or self.resisted[side] > 0.0
             if servo is None:
                 continue
             dof, indices = servo
             if not pressing:
-                felt = min(max(-float(force[2]), 0.0), HEAVIEST) if touching else 0.0
+                felt = min(max(-float(force[2]), 0.0), self._max_force) if touching else 0.0
                 weight = self.weights[side] + fraction * (felt - self.weights[side])
                 self.weights[side] = weight if felt or weight > NOTHING else 0.0
             mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, site)
@@ -113,7 +112,7 @@ class HandLoads:
         self._loaded = contacts.touching or any(self.weights)
 
     def _resist(self, side: int, pressed: float, now: float) -> None:
-        """Update ``resisted`` by the force with which a hand presses [N]."""
+        """Update ``resisted`` by the force with which a hand presses or lifts [N]."""
         since = self._large_since[side] = min(self._large_since[side], now) if pressed > self._max_force else np.inf
         self.resisted[side] = pressed if now - since >= RESISTED else 0.0
         if self.resisted[side]:  # a downward force may be no weight, and must not be compensated
