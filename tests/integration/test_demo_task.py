@@ -38,7 +38,8 @@ def test_a_fixture_that_is_shut_is_left_alone_with_the_reason_and_the_robot_stan
     robot = TaskRobot(load_robot(), "hardware", 0, task, shut=True)
     outcome = robot.do()
     assert not outcome.done and not outcome.fell
-    assert re.fullmatch(rf".*: {robot.plan.resisted}: it presses or lifts with \d+ N; expected at most 60 N", outcome.reason)
+    reason = rf".*: {robot.plan.resisted}: it presses or lifts with \d+ N; expected at most 60 N"
+    assert re.fullmatch(reason, outcome.reason)
     assert outcome.states[-3][1] == "resisted" and [name for name, _ in outcome.states[-2:]] == ["back", "off"]
     assert robot.behavior is Behavior.STAND_MANIPULATE
     if task == door.NAME:  # a spoke may keep the thumb
