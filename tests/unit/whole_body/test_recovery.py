@@ -102,6 +102,23 @@ def test_a_push_while_walking_is_survived() -> None:
     assert loop.command.qp_failures == 0
 
 
+@pytest.mark.parametrize("foot", [LEFT, RIGHT])
+def test_a_walking_robot_steps_at_once_after_a_step_that_does_not_reach_its_dcm(foot: int) -> None:
+    loop = standing(load_robot(), 0)
+    source = loop.request.steps = VelocitySteps(loop.robot.tables.walking)
+    impulse = 0.6 * loop.robot.tables.size.mass * np.array((0.0, -1.0 if foot == LEFT else 1.0, 0.0))
+    pushed, lifted = np.inf, np.inf
+    while loop.fall is None and loop.time < min(pushed + 3.0, 20.0):
+        source.command(np.array((0.3, 0.0, 0.0)), loop.time)
+        source.advance(loop.time)
+        loop.step()
+        lifted = np.inf if loop.controller.swinging != foot else min(lifted, loop.time)
+        if pushed == np.inf and loop.time > max(4.0, lifted + 0.15):
+            loop.plant.push(impulse, 0.1)
+            pushed = loop.time
+    assert loop.fall is None and pushed < np.inf
+
+
 def test_a_fall_is_reported_well_before_the_robot_hits_the_ground() -> None:
     """Even of a robot that tried to save itself by steps."""
     loop = standing(load_robot(), 7)

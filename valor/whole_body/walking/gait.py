@@ -166,7 +166,7 @@ class Gait:
                     return
                 self._begin_swing(state, self._step)
         elif self._touched(state, self.swinging):
-            self._end_swing(state)
+            self._end_swing(state, shift)
         before = self.dcm
         self.dcm, self.vrp = self._plan.at(self._time)
         self.omega, self.omega_dot = self._plan.omega, self._plan.omega_dot
@@ -364,14 +364,21 @@ class Gait:
         felt = state.foot_forces[foot] > self._table.touchdown_force
         return bool(felt) or passed > step.swing_duration + self._table.latest_touchdown
 
-    def _end_swing(self, state: RobotState) -> None:
-        step = self._step
+    def _end_swing(self, state: RobotState, shift: FloatArray) -> None:
+        step, table = self._step, self._disturbance
         assert step is not None
+        x, y, _ = (state.dcm_in_odom - shift - self.dcm).tolist()
+        pushed = hypot(x, y) > table.recovered
         self.source.ended(step)
         self._landed, self.swinging, self._sways = step.foot, None, False
         on_time = self._transfer + step.swing_duration
-        self._early = 0.0 if self._urgent else max(0.0, on_time - self._time)
-        self._begin_transfer(state, self.source.upcoming(sole_poses(state)))
+        self._early = 0.0 if self._urgent or pushed else max(0.0, on_time - self._time)
+        steps = self.source.upcoming(sole_poses(state))
+        if pushed and steps:  # the next step at once
+            transfer = min(steps[0].transfer_duration, table.recovery_transfer_duration)
+            swing = min(steps[0].swing_duration, table.recovery_swing_duration)
+            steps = [replace(steps[0], transfer_duration=transfer, swing_duration=swing), *steps[1:]]
+        self._begin_transfer(state, steps)
 
     def _feet(self) -> None:
         self.load[:] = 1.0
