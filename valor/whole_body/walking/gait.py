@@ -30,7 +30,7 @@ from valor.whole_body.walking.swing import SwingPoint, SwingTrajectory
 
 AHEAD = 3  # Steps planned
 HIPS_AHEAD = 0.05  # Hips ahead of the middle of the feet when the rear foot lifts, for ESCHER's leg [m]
-QUICK_DEPTH, UNHURRIED = 0.12, 3.0  # Fraction of the depth at full speed; rate of its growth below that
+QUICK_DEPTH, UNHURRIED = 0.5, 3.0  # Fraction of the depth at full speed; rate of its growth below that
 SHORTEST_PIECE = 0.01  # Shortest piece of a plan [s]
 FOLLOWED = 1e-3  # Smallest move of a late foot's foothold [m]
 MOST_LOWERED = 0.12  # Largest lowering of the CoM, for ESCHER's leg [m]

@@ -22,8 +22,8 @@ from valor.robot.footsteps import LEFT, RIGHT
 from valor.robot.motion_tables import Walking
 from valor.whole_body.walking.footsteps import beside, level_pose, side_by_side
 
-FOOTHOLDS = 5  # Footholds stored
-FADING = 0.8  # Weight of a foothold relative to the next one
+FOOTHOLDS = 3  # Footholds stored
+FADING = 0.6  # Weight of a foothold relative to the next one
 LEVELNESS = 0.03  # Weight of level ground in the fit [m²]
 STEEPEST = 0.12  # Steepest accepted slope, along either axis
 
