@@ -135,6 +135,15 @@ def _get_up(script: Script) -> None:
     script.video({"fall", "get_up"}, "--camera", "fixed", "--speed", 2)
 
 
+def _get_up_from_the_back(script: Script) -> None:
+    script("robot", "get-up", _G1)
+    script("up", "--robot", _G1, "--rtf", 0, "--bag", script.bag)
+    script("push", -60, 0, 0)
+    script.until("get-up")
+    script("down")
+    script.video({"fall", "get_up"}, "--camera", "fixed")
+
+
 def _arms(script: Script) -> None:
     script("mode", "walk_manipulate")
     walking = script.beside("walk", "--vx", 0.25, "--for", 9)
@@ -188,6 +197,11 @@ SCENES = {
     "rubble": Scene("Rubble", "Boxes up to 4 cm high, unknown to it. Twice its speed.", ("--world", "rubble"), _rubble),
     "push": Scene("Push and step", "40 N·s at the chest: it steps to keep its balance. Half speed.", (), _push),
     "fall_and_get_up": Scene("Fall and get up", "110 N·s are too many. Twice its speed.", (), _get_up),
+    "get_up_from_the_back": Scene(
+        "Get up from the back",
+        "A G1 made by `robot new`, on whose model `robot get-up` found how, in some minutes.",
+        None, _get_up_from_the_back, _made_g1,
+    ),
     "thor_walk": Scene("THOR", "The elder brother, on the dirt.", ("--robot", "thor", "--world", "dirt"), _walk),
     "door": Scene("A door", "Its right fist presses the lever, and pushes. Three times its speed.", None, _door),
     "exchange": Scene(

@@ -54,6 +54,11 @@ def test_a_folder_is_replaced_only_with_force(here: Path, valorctl: Valorctl) ->
     assert sorted(file.name for file in here.iterdir()) == ["mine"]
 
 
+def test_motions_of_getting_up_are_not_replaced_without_force(valorctl: Valorctl) -> None:
+    status, _, err = valorctl("robot", "get-up", "escher")
+    assert status == 1 and "get_up.yaml: exists; expected a robot without, or --force to replace it" in err
+
+
 @pytest.mark.parametrize(
     ("content", "words"), [(None, "expected a file, MJCF or URDF"), ("<mujoco><worl", "XML parse error")]
 )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 
-from valor.common.errors import ValorError
+from valor.common.errors import ConfigurationError, ValorError
 from valor.common.resources import robot_folder, robots
 from valor.valorctl.terminal import completion
 from valor.valorctl.terminal.console import Interruption, progress, rich_console, say, say_json, table
@@ -116,13 +116,18 @@ def new(
 
 
 @robot.command("get-up")
-def get_up(named: Named) -> None:
+def get_up(
+    named: Named, force: Annotated[bool, typer.Option("--force", help="Replace an existing get_up.yaml.")] = False
+) -> None:
     """Search for the motions by which the robot gets up, in simulation, for some minutes; writes get_up.yaml."""
     from valor.get_up_planning.plan import plan
     from valor.robot.description import RobotDescription
     from valor.robot.get_up_table import FILE
 
     folder = robot_folder(named)
+    file = folder / FILE
+    if file.exists() and not force:
+        raise ConfigurationError(f"{file}: exists; expected a robot without, or --force to replace it")
     with progress() as shown, Interruption() as interruption:
 
         def report(stage: str) -> None:
@@ -130,8 +135,8 @@ def get_up(named: Named) -> None:
             shown.stage(stage)
 
         content = plan(RobotDescription.load(folder), report)
-    (folder / FILE).write_text(content)
-    say(f"{folder / FILE}: written")
+    file.write_text(content)
+    say(f"{file}: written")
 
 
 @robot.command()
