@@ -109,4 +109,4 @@ def test_a_table_of_motions_is_one_that_get_up_reads(tmp_path: Path, monkeypatch
     (tmp_path / FILE).write_text(text)
     read = load(RobotDescription.load(tmp_path))
     assert read is not None and [motion.to for motion in read.motions] == [Posture.STANDING, Posture.FACE]
-    assert [pose.name for pose in read.motions[0].poses if pose.balanced] == ["squat", "rise", "straighten", "stand"]
+    assert [pose.name for pose in read.motions[0].poses if pose.balanced] == ["squat", "rise", "straighten", "upright"]

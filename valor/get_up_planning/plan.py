@@ -17,8 +17,8 @@ ROLL = 45.0  # of the pelvis, at most [deg]
 ROOM = 30.0  # of the pelvis pitch around that of the simulated motions [deg]
 _HEAD = """\
 # Get Up of {robot}: motions of key poses, executed by the joints' servos (motion_manager/locomotion/get_up.py).
-# Found by `valorctl robot get-up`. Duration and hold [s]; joints [rad], others stay; pitch of the pelvis
-# afterwards [deg], out of which the motion is abandoned.
+# Found by `valorctl robot get-up {robot}`. Duration and hold [s]; joints [rad], others stay;
+# pitch of the pelvis afterwards [deg], out of which the motion is abandoned.
 """
 _COLUMNS = 6  # joints per line
 

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.common.behaviors import LEGS
 from valor.common.errors import ValorError
 from valor.get_up_planning.rollouts import Fallen, Rollouts, Target
 from valor.robot.checks.stance import Stance
@@ -69,7 +70,7 @@ class Search(ABC):
 
     def indices(self, *groups: str) -> list[int]:
         """Return the indices of the joints of groups; of an arm without those of its wrist."""
-        names = [name for group in groups for name in self.robot.tables.group(group)[: 4 if "arm" in group else None]]
+        names = [name for group in groups for name in self.robot.tables.group(group)[: None if group in LEGS else 4]]
         return [self.robot.index[name] for name in names]
 
     def bound(self, moved: Sequence[int], poses: int) -> None:
@@ -272,7 +273,7 @@ class Squat(OnSoles):
 class StandUp(OnSoles):
     """From the squat to the nominal posture: the flexion of the legs between."""
 
-    start, to, names = (None,), Posture.STANDING, ("rise", "straighten", "stand")
+    start, to, names = (None,), Posture.STANDING, ("rise", "straighten", "upright")
 
     def __init__(self, rollouts: Rollouts) -> None:
         super().__init__(rollouts)

@@ -85,7 +85,8 @@ class GetUp:
     def rejection(self, state: RobotState) -> str:
         """Reason why the robot cannot get up from its present pose; empty if it can."""
         if self._table is None:
-            return f"getting up is not available: {self._robot.name} has no {FILE}; `valorctl robot get-up` makes it"
+            name = self._robot.name
+            return f"getting up is not available: {name} has no {FILE}; `valorctl robot get-up {name}` makes it"
         if (rate := turning(state)) > AT_REST:
             return f"the robot does not lie still: the pelvis rotates at {rate:.1f} rad/s; expected at most {AT_REST}"
         return self._no_way(state)
