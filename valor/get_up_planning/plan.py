@@ -8,7 +8,7 @@ from valor.common.arrays import FloatArray
 from valor.get_up_planning.rollouts import Fallen, Rollouts, Target
 from valor.get_up_planning.search import REACHES, Report, RollOver, Search, Squat, StandUp, find
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import Posture
+from valor.robot.get_up_table import Posture, attitude
 from valor.robot.size import ESCHER
 
 FALLS = 16  # towards each side
@@ -56,7 +56,7 @@ def _lines(
 ) -> Iterator[str]:
     robot, search = rollouts.robot, StandUp(rollouts)
     ends = [states for states in rollouts.play([(fall, rise) for fall in lying]) if search.succeeded(states)]
-    pitch = np.array([[rollouts.pitch(state) for state in states] for states in ends])
+    pitch = np.array([[attitude(rollouts.upwards(state))[0] for state in states] for states in ends])
     yield _HEAD.format(robot=robot.name).rstrip()
     yield f"roll: {ROLL:g}  # of the pelvis, at most [deg]"
     gain = GAIN * ESCHER.leg / robot.tables.size.leg

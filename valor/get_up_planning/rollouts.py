@@ -3,12 +3,12 @@
 import copy
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import atan2, degrees
 
 import mujoco
 import numpy as np
 from mujoco import rollout
 
+from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
@@ -131,15 +131,9 @@ class Rollouts:
         positions: FloatArray = state[1 : 1 + self.model.mj.nq][self.model.qpos]
         return positions
 
-    def upwards(self, state: FloatArray) -> FloatArray:
-        """Return the vertical (3,) in the pelvis' axes."""
-        w, x, y, z = state[4:8]
-        return np.array((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)))
-
-    def pitch(self, state: FloatArray) -> float:
-        """Return the pitch of the pelvis, −180 to 180, face-down: 90 [deg]."""
-        forward, _, up = self.upwards(state).tolist()
-        return degrees(atan2(-forward, up))
+    def upwards(self, state: FloatArray) -> rotation.Vector:
+        """Return the vertical in the pelvis' axes."""
+        return rotation.vertical(rotation.quaternion(state[4:8]))
 
     def speed(self, state: FloatArray) -> float:
         """Return the largest component of the pelvis' velocity [m/s, rad/s]."""

@@ -144,7 +144,7 @@ def _optimised(
 
 
 class RollOver(Search):
-    """From the back or the right side to the face."""
+    """Motion from the back or the right side to the face."""
 
     start, to, names = (Posture.BACK, Posture.RIGHT), Posture.FACE, ("wind up", "roll over", "stretch out")
 
@@ -164,12 +164,12 @@ class RollOver(Search):
         return [*map(Target, self.names, goals, vector[-count:].tolist(), (0.0, 0.0, 0.3))]
 
     def cost(self, states: Sequence[FloatArray]) -> float:
-        forward, _, up = self.rollouts.upwards(states[-1]).tolist()
+        forward, _, up = self.rollouts.upwards(states[-1])
         speed = min(self.rollouts.speed(states[-1]), 3.0)
         return float(1.0 + forward + abs(up) + 0.1 * speed - self.succeeded(states))
 
     def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        forward, _, up = self.rollouts.upwards(states[-1]).tolist()
+        forward, _, up = self.rollouts.upwards(states[-1])
         return bool(forward < -0.85 and abs(up) < 0.5)
 
 
@@ -246,7 +246,7 @@ class OnSoles(Search):
 
 
 class Squat(OnSoles):
-    """From the face to a squat."""
+    """Motion from the face to a squat."""
 
     start, to = (Posture.FACE,), "squat"
 
@@ -271,7 +271,7 @@ class Squat(OnSoles):
 
 
 class StandUp(OnSoles):
-    """From the squat to the nominal posture: the flexion of the legs between."""
+    """Motion from the squat to the nominal posture: the flexion of the legs between."""
 
     start, to, names = (None,), Posture.STANDING, ("rise", "straighten", "upright")
 

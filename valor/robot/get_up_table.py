@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from enum import StrEnum
 from functools import partial
-from math import atan2, cos, degrees, radians
+from math import asin, atan2, cos, degrees, radians
 from typing import Annotated
 
 from msgspec import Meta, field
@@ -37,9 +37,18 @@ def other(way: Posture) -> Posture:
     return {Posture.LEFT: Posture.RIGHT, Posture.RIGHT: Posture.LEFT}.get(way, way)
 
 
-def lying(vertical: FloatArray) -> Posture | None:
-    """Return the way of lying for the vertical (3,) in the pelvis' axes; None if the robot does not lie."""
-    forward, left, up = vertical.tolist()
+def attitude(vertical: Iterable[float]) -> tuple[float, float]:
+    """Pitch of the pelvis, −180 to 180 (face-down: 90), and its roll, left side up positive, −90 to 90 [deg].
+
+    ``vertical``: in the pelvis' axes.
+    """
+    forward, left, up = vertical
+    return degrees(atan2(-forward, up)), degrees(asin(min(1.0, max(-1.0, left))))
+
+
+def lying(vertical: Iterable[float]) -> Posture | None:
+    """Return the way of lying for the vertical in the pelvis' axes; None if the robot does not lie."""
+    forward, left, up = vertical
     if up > UPRIGHT:
         return None
     around = degrees(atan2(left, forward))  # 0 on the back, 90 on the right side

@@ -97,13 +97,14 @@ class HandLoads:
             touching = bool(contacts.contacts[side])
             force = self._data.site_xmat[site].reshape(3, 3) @ wrenches[side][:3]
             pressed = _pressed(force) if touching else 0.0
-            self._resist(side, max(pressed, -float(force[2])), now)
+            lifted = -float(force[2])
+            self._resist(side, max(pressed, lifted), now)
             pressing = pressed > self._pressing or self.resisted[side] > 0.0
             if servo is None:
                 continue
             dof, indices = servo
             if not pressing:
-                felt = min(max(-float(force[2]), 0.0), self._max_force) if touching else 0.0
+                felt = min(max(lifted, 0.0), self._max_force) if touching else 0.0
                 weight = self.weights[side] + fraction * (felt - self.weights[side])
                 self.weights[side] = weight if felt or weight > NOTHING else 0.0
             mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, site)

@@ -10,7 +10,7 @@ middle.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import asin, atan2, degrees, sqrt
+from math import sqrt
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from valor.control.state import RobotState
 from valor.motion_manager.locomotion.driver import Driver
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import FILE, Balance, KeyPose, Motion, Posture, load, lying, other
+from valor.robot.get_up_table import FILE, Balance, KeyPose, Motion, Posture, attitude, load, lying, other
 from valor.robot.mirror import mirrored
 from valor.robot.posture_move import PostureMove
 
@@ -95,7 +95,7 @@ class GetUp:
         way = lying(state.pelvis_rotation_in_odom[2])
         if way in self.ways:
             return ""
-        pitch, roll = attitude(state)
+        pitch, roll = attitude(state.pelvis_rotation_in_odom[2])
         found = f"it lies on its {way}" if way else "it does not lie"
         return (
             f"{found} (pelvis pitched {pitch:.0f}°, rolled {roll:.0f}°), and {self._robot.name} gets up from "
@@ -120,7 +120,7 @@ class GetUp:
             return
         assert self._move is not None and self._table is not None
         pose = self.way.poses[self._stage]
-        pitch, roll = attitude(state)
+        pitch, roll = attitude(state.pelvis_rotation_in_odom[2])
         if pose.pitch is not None and abs(roll) > self._table.roll:
             self.abandon(f"{pose.name}: the pelvis rolled {roll:.0f}°; expected at most {self._table.roll:.0f}°", now)
             return
@@ -221,12 +221,6 @@ class SoleBalance:
         dcm = ahead + speed * sqrt(max(height, LOWEST_COM) / GRAVITY)
         angle = min(self._limit, max(-self._limit, self._gain * dcm))
         position[self._joints] = self._limits.position_within(position[self._joints] + angle)
-
-
-def attitude(state: RobotState) -> tuple[float, float]:
-    """Pitch of the pelvis, −180 to 180 (face-down: 90), and its roll, left side up positive, −90 to 90 [deg]."""
-    forward, left, up = state.pelvis_rotation_in_odom[2].tolist()
-    return degrees(atan2(-forward, up)), degrees(asin(min(1.0, max(-1.0, left))))
 
 
 def turning(state: RobotState) -> float:
