@@ -42,7 +42,7 @@ class WholeBody(Table):
     foot_weight: Positive = 200.0
     foot_damping: Rate[Positive] = 10.0
     stance_stiffness: SquaredRate[NonNegative] = 100.0  # of the stance of both feet, against creep [1/s²]
-    arm_posture_weight: Positive = 2.0
+    arm_posture_weight: Positive = 0.5
     waist_posture_weight: Positive = 0.1
     leg_posture_weight: Positive = 0.02
     posture_stiffness: SquaredRate[Positive] = 60.0
@@ -70,7 +70,7 @@ class Disturbance(Table):
     cop_share: Positive = 0.7  # usable fraction of the CoP's reach in the stance sole
     threshold: Length[Positive] = 0.025  # DCM error below which a step stays as planned [m]
     final: Time[Positive] = 0.06  # time before touchdown without changes [s]
-    shortest_swing: Time[Positive] = 0.25  # [s]
+    shortest_swing: Time[Positive] = 0.22  # [s]
     longest_delay: Time[NonNegative] = 0.15  # of touchdown [s]
     foot_speed: Speed[Positive] = 4.0  # largest of a swinging foot [m/s]
     clearance: Length[NonNegative] = 0.01  # between the feet, added to the least width [m]

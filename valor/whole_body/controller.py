@@ -32,7 +32,7 @@ from valor.whole_body.set_points import SetPoints
 from valor.whole_body.solver.elimination import UnsolvableError
 from valor.whole_body.solver.qp import Bounds, ContactForceQp, Objective
 from valor.whole_body.task_dynamics import TaskDynamics
-from valor.whole_body.tasks import TASKS, WEIGHTS, TaskWeights, motions, nominal_weights
+from valor.whole_body.tasks import TASKS, WEIGHTS, AngularMomentum, TaskWeights, motions, nominal_weights
 from valor.whole_body.walking.footsteps import RecoverySteps
 from valor.whole_body.walking.gait import Gait
 
@@ -81,6 +81,7 @@ class WholeBodyController(Controller):
         self.weights = TaskWeights(nominal_weights(table), robot.tables.weight_factor, robot.control_period)
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * gravity
+        self._per_momentum = omega / self._weight  # displacement of the DCM per angular momentum [1/(N·s)]
         self._mode: tuple[int | None, bool] = (None, False)  # swing foot in the objective, and whether it recovers
         self._foot_weights = robot.tables.walking.foot_weight, robot.read(Tuning).disturbance.recovery_foot_weight
         feet = robot.tables.feet
@@ -95,6 +96,7 @@ class WholeBodyController(Controller):
             np.concatenate((-effort, np.zeros(joints.count))), np.concatenate((effort, np.zeros(joints.count)))
         )
         self._soles = motions_of_tasks.rows[FEET]
+        self._momentum = motions_of_tasks.rows[AngularMomentum.name]
         self.collision = SelfCollision(model)  # its ``rows`` are the pairs of bodies near each other
         self._load = (1.0, 1.0)
         self._qp = ContactForceQp(
@@ -189,13 +191,18 @@ class WholeBodyController(Controller):
             self.pelvis.go_home()
             gait.recover(state, self._recovery, dcm, reference.centre_vrp, self.watch.velocity)
         if gait.active:
-            gait.update(state, reference.shift, dt)
+            gait.update(state, reference.shift - self._turning(), dt)
         elif steps is not None and self.pelvis.resting:
             gait.start(state, steps, reference.centre_dcm, reference.centre_vrp)
         left, right = gait.load.tolist()
         if (left, right) != self._load:
             self._load = (left, right)
             self._qp.limit_forces(self._contacts.upper(self._load, self._weight))
+
+    def _turning(self) -> FloatArray:
+        """(3,) displacement of the DCM by stopping what turns: −∫(k̇_y, −k̇_x)·ω/(m·g)·dt, k about the CoM [m]."""
+        x, y, _ = self._dynamics.task_velocity[self._momentum].tolist()
+        return np.array((y * self._per_momentum, -x * self._per_momentum, 0.0))
 
     def _set_gains(self, asked: JointTargets) -> None:
         """Those asked for; none for joints driven by force."""

@@ -106,7 +106,7 @@ def test_a_push_while_walking_is_survived() -> None:
 def test_a_walking_robot_steps_at_once_after_a_step_that_does_not_reach_its_dcm(foot: int) -> None:
     loop = standing(load_robot(), 0)
     source = loop.request.steps = VelocitySteps(loop.robot.tables.walking)
-    impulse = 0.6 * loop.robot.tables.size.mass * np.array((0.0, -1.0 if foot == LEFT else 1.0, 0.0))
+    impulse = 0.7 * loop.robot.tables.size.mass * np.array((0.0, -1.0 if foot == LEFT else 1.0, 0.0))
     pushed, lifted = np.inf, np.inf
     while loop.fall is None and loop.time < min(pushed + 3.0, 20.0):
         source.command(np.array((0.3, 0.0, 0.0)), loop.time)

@@ -15,7 +15,7 @@ from valor.control.steps import Step
 from valor.control.tuning_tables import Tuning
 from valor.robot.footsteps import LEFT, StepRule
 from valor.whole_body.walking.footsteps import level_pose
-from valor.whole_body.walking.step_guard import Adjustment, Situation, StepAdjuster, StepGuard
+from valor.whole_body.walking.step_guard import PEAK, Adjustment, Situation, StepAdjuster, StepGuard
 
 OMEGA = 3.377
 TRANSFER = 0.2
@@ -101,6 +101,18 @@ def test_whatever_the_error_the_step_is_within_reach(
     assert not StepRule(wider, ROBOT.tables.feet).reach(step, asked.stance)
     assert min(left, table.final) - 1e-6 <= found.left <= left + table.longest_delay + 1e-6
     assert np.isfinite(found.landing_dcm).all()
+
+
+@given(feet, st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), headings, st.floats(0.15, 0.4))
+def test_a_foot_goes_no_farther_than_it_can_until_the_adjusted_touchdown(
+    foot: int, error: tuple[float, float], heading: float, left: float
+) -> None:
+    asked = situation(foot, (0.1, 0.25), error, left, heading=heading)
+    found = adjust(asked)
+    c, s = cos(heading), sin(heading)
+    way = (found.foothold - asked.swing.position)[:2] @ np.array(((c, -s), (s, c)))
+    pace = ROBOT.read(Tuning).disturbance.foot_speed / PEAK
+    assert np.abs(way).max() <= pace * (left + (exp(OMEGA * (found.left - left)) - 1.0) / OMEGA) + 1e-5
 
 
 @given(feet, st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)), left_times, st.floats(0.01, 0.1))

@@ -156,7 +156,10 @@ class Gait:
         return self.omega - self.omega_dot / self.omega
 
     def update(self, state: RobotState, shift: FloatArray, dt: float) -> None:
-        """Advance one period of ``dt`` [s]; ``shift`` (3,) is the DCM's due to arms that are not nominal [m]."""
+        """Advance one period of ``dt`` [s].
+
+        ``shift`` (3,) is the DCM's due to arms that are not nominal, and to angular momentum, which will stop [m].
+        """
         self._time += dt
         if self.swinging is None:
             if self._time >= self._transfer:
@@ -170,7 +173,7 @@ class Gait:
         before = self.dcm
         self.dcm, self.vrp = self._plan.at(self._time)
         self.omega, self.omega_dot = self._plan.omega, self._plan.omega_dot
-        dcm = at_frequency(state.dcm_in_odom, state.com_in_odom, self._nominal / self.omega) - shift
+        dcm = self._measured(state, shift)
         self._sink(dt)
         if self._step is not None:
             if self.swinging is not None and self._time > self._transfer + self._step.swing_duration:
@@ -367,18 +370,23 @@ class Gait:
     def _end_swing(self, state: RobotState, shift: FloatArray) -> None:
         step, table = self._step, self._disturbance
         assert step is not None
-        x, y, _ = (state.dcm_in_odom - shift - self.dcm).tolist()
-        pushed = hypot(x, y) > table.recovered
+        left = max(0.0, self._transfer + step.swing_duration - self._time)
+        foot = sole_poses(state)[step.foot].position
+        pushed = self._guard.missed(left, foot, self._measured(state, shift)) > table.recovered
         self.source.ended(step)
         self._landed, self.swinging, self._sways = step.foot, None, False
-        on_time = self._transfer + step.swing_duration
-        self._early = 0.0 if self._urgent or pushed else max(0.0, on_time - self._time)
+        self._early = 0.0 if self._urgent or pushed else left
         steps = self.source.upcoming(sole_poses(state))
         if pushed and steps:  # the next step at once
             transfer = min(steps[0].transfer_duration, table.recovery_transfer_duration)
             swing = min(steps[0].swing_duration, table.recovery_swing_duration)
             steps = [replace(steps[0], transfer_duration=transfer, swing_duration=swing), *steps[1:]]
         self._begin_transfer(state, steps)
+
+    def _measured(self, state: RobotState, shift: FloatArray) -> FloatArray:
+        """(3,) DCM at the reference's ω, without ``shift``, in odom [m]."""
+        dcm: FloatArray = at_frequency(state.dcm_in_odom, state.com_in_odom, self._nominal / self.omega) - shift
+        return dcm
 
     def _feet(self) -> None:
         self.load[:] = 1.0

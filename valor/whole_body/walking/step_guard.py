@@ -18,7 +18,7 @@ error b of the next swing's first DCM:
 This is linear in (s, r, d), with time among the unknowns (Khadiv, Herzog, Moosavian & Righetti 2020, "Walking control
 based on step timing adaptation", for point feet; here with the CoP's reach and double support):
 
-    min  w_s·‖Δs‖² + w_t·((r − 1)/ω)² + w_b·‖b‖² + w_d·‖d/(e^{ωT} − 1)‖²   s within reach, r within the foot's speed
+    min  w_s·‖Δs‖² + w_t·((r − 1)/ω)² + w_b·‖b‖² + w_d·‖d/(e^{ωT} − 1)‖²   s within reach and the foot's way in T + ΔT
 
 Without an error the plan is the optimum. CasADi evaluates the matrices; DAQP solves the QP.
 """
@@ -102,8 +102,8 @@ class StepAdjuster:
         self._gradient = np.zeros(UNKNOWNS)
         self._constant = np.zeros(1)
         self._evaluate = self._problem()
-        self._rows = np.zeros((6, UNKNOWNS))
-        self._upper, self._lower = np.full(11, UNBOUNDED), np.full(11, -UNBOUNDED)
+        self._rows = np.zeros((10, UNKNOWNS))
+        self._upper, self._lower = np.full(15, UNBOUNDED), np.full(15, -UNBOUNDED)
 
     def _problem(self) -> Callable[[], None]:
         """Matrices of the objective as a function of the parameters, bound to the arrays of this object."""
@@ -229,15 +229,20 @@ class StepAdjuster:
         reach, table, omega = self._reach, self._table, situation.omega
         upper, lower, rows = self._upper, self._lower, self._rows
         side = 1.0 if step.foot == LEFT else -1.0
-        way = table.foot_speed * left / PEAK
-        distance = 0.0
+        pace = table.foot_speed / PEAK
+        way = pace * (left + table.longest_delay)
         for i, (low, high) in enumerate(self._box(step, situation.stance, planned)):
             # The planned foothold is always allowed; a distant foot goes as near as possible within reach.
             lower[i] = min(max(low, foot[i] - way), high, planned[i])
             upper[i] = max(min(high, foot[i] + way), low, planned[i])
-            distance = hypot(distance, planned[i] - foot[i])
-        soonest = min(left, max(situation.least, PEAK * distance / table.foot_speed))
+        soonest = min(left, situation.least)
         lower[2], upper[2] = exp(omega * (soonest - left)), exp(omega * table.longest_delay)
+        # ± (s − foot) within the foot's way until touchdown, with T + ΔT ≈ T + (r − 1)/ω; what is nearest always is
+        gain = pace / omega
+        for row, (i, sign) in enumerate(((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)), start=6):
+            rows[row, i], rows[row, 2] = sign, -gain
+            nearest = max(sign * planned[i], lower[i] if sign > 0.0 else -upper[i])
+            upper[5 + row] = max(sign * foot[i] + gain * (omega * left - 1.0), nearest - gain * upper[2])
         lx, ly = self.cop[1 - step.foot]
         # ± d − l·growth·r ≤ −l
         for row, (i, length) in enumerate(((3, lx), (3, lx), (4, ly), (4, ly))):
@@ -296,6 +301,14 @@ class StepGuard:
         if found is not None:
             self.adjusted = found
         return found
+
+    def missed(self, left: float, foot: FloatArray, dcm: FloatArray) -> float:
+        """Return how far (3,) the DCM, ``left`` [s] before touchdown, misses (3,) a landed foot [m]."""
+        situation = self.situation
+        moved = (foot - situation.step.sole.position) * transfer_gain(situation.omega * situation.transfer)
+        then = situation.centre + (dcm - situation.centre) * exp(situation.omega * left)
+        x, y, _ = (then - situation.landing_dcm - moved).tolist()
+        return hypot(x, y)
 
     def late_vrp(self, dcm: FloatArray) -> FloatArray:
         """Return (3,) VRP that slows (3,) the DCM reference most with the CoP in the stance sole; foot late [m]."""
