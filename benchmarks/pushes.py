@@ -41,6 +41,7 @@ SETTLED = 1.5  # … so long after the push, at the earliest [s]
 SPEED = 0.3  # of the walk [m/s]
 PHASES = 16  # of two steps
 IMPULSES = (15.0, 25.0)  # while walking [N·s]
+REACHED = 12.0  # time when it has walked onto ground that is not flat [s]
 AGAIN = 0.7  # between two pushes [s]
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -124,14 +125,22 @@ def go(loop: ClosedLoop, walk: VelocitySteps) -> None:
     walk.advance(loop.time)
 
 
-def standing(robot: RobotDescription, profile: str, seed: int, hands: float = 0.0) -> ClosedLoop:
-    """A robot that has come to stand; with so much more in each hand than the controller knows [kg]."""
-    loop = ClosedLoop(robot, profile, seed)
+def standing(robot: RobotDescription, profile: str, seed: int, hands: float = 0.0, world: str = "flat") -> ClosedLoop:
+    """A robot that stands on the ground of a world; with more in each hand than the controller knows [kg]."""
+    loop = ClosedLoop(robot, profile, seed, world)
     for hand in (robot.tables.hands.left, robot.tables.hands.right) if hands else ():
         assert hand is not None
         loop.plant.model.mj.body_mass[loop.plant.model.body(hand.body)] += hands
     loop.settle(0.3)
     loop.run(2.2)
+    if world != "flat":  # other ground begins ahead
+        walk = loop.request.steps = VelocitySteps(robot.tables.walking)
+        while loop.time < REACHED or not loop.controller.at_rest:
+            walk.command(np.array((SPEED * (loop.time < REACHED), 0.0, 0.0)), loop.time)
+            walk.advance(loop.time)
+            loop.step()
+        loop.request.steps = None
+        loop.run(2.2)
     return loop
 
 
@@ -263,7 +272,7 @@ def rose(results: Mapping[str, Mapping[str, Sequence[float]]], robot: str, pictu
 def starts(robot: RobotDescription, options: argparse.Namespace) -> Iterator[tuple[ClosedLoop, VelocitySteps | None]]:
     """The robot by seed, as it stands, or at phases of its walk; each is valid until the next."""
     for seed in range(options.seeds):
-        loop = standing(robot, options.profile, seed, options.hands)
+        loop = standing(robot, options.profile, seed, options.hands, options.world)
         if not options.walking:
             yield loop, None
             continue
@@ -306,6 +315,7 @@ def asked() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", default="escher", help="name, or absolute path of a folder")
     parser.add_argument("--profile", default="hardware")
+    parser.add_argument("--world", default="flat", help="as of `valorctl up --world`, for instance dirt")
     parser.add_argument("--directions", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--step", type=float, default=RUNG, help="between rungs, for a mass of 75.9 kg [N·s]")

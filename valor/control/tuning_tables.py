@@ -29,7 +29,7 @@ class WholeBody(Table):
     # ω of the DCM while the robot steps: of the nominal CoM height, or varying with a CoM planned with the least jerk.
     natural_frequency: Literal["constant", "varying"] = "constant"
     friction: Positive = 0.6  # assumed coefficient
-    contact_inset: Length[NonNegative] = 0.005  # contact points pulled in from the sole's edges [m]
+    contact_inset: Length[NonNegative] = 0.002  # contact points pulled in from the sole's edges [m]
     dcm_gain: Rate[Positive] = 5.0  # k_ξ
     dcm_push_gain: Rate[NonNegative] = 15.0  # k_p, for the error above dcm_push_error
     dcm_push_error: Length[NonNegative] = 0.02  # above it the CoP reaches the sole's edge at once [m]
@@ -41,6 +41,8 @@ class WholeBody(Table):
     orientation_damping: Rate[Positive] = 22.0
     foot_weight: Positive = 200.0
     foot_damping: Rate[Positive] = 10.0
+    # Of the CoM's and the feet's weights while the robot may not step: its trunk sways for its balance.
+    fixed_feet_factor: Positive = 5.0
     stance_stiffness: SquaredRate[NonNegative] = 100.0  # of the stance of both feet, against creep [1/s²]
     arm_posture_weight: Positive = 0.5
     waist_posture_weight: Positive = 0.1

@@ -32,7 +32,7 @@ from valor.whole_body.set_points import SetPoints
 from valor.whole_body.solver.elimination import UnsolvableError
 from valor.whole_body.solver.qp import Bounds, ContactForceQp, Objective
 from valor.whole_body.task_dynamics import TaskDynamics
-from valor.whole_body.tasks import TASKS, WEIGHTS, AngularMomentum, TaskWeights, motions, nominal_weights
+from valor.whole_body.tasks import TASKS, WEIGHTS, AngularMomentum, FootMotion, TaskWeights, motions, nominal_weights
 from valor.whole_body.walking.footsteps import RecoverySteps
 from valor.whole_body.walking.gait import Gait
 
@@ -82,7 +82,8 @@ class WholeBodyController(Controller):
         self._gait = Gait(robot, omega, self._upper_body.nominal_com_height)
         self._weight = float(model.mj.body_subtreemass[model.body(robot.tables.base)]) * gravity
         self._per_momentum = omega / self._weight  # displacement of the DCM per angular momentum [1/(N·s)]
-        self._mode: tuple[int | None, bool] = (None, False)  # swing foot in the objective, and whether it recovers
+        # Swing foot in the objective, whether the robot recovers, whether it stands and may not step
+        self._mode: tuple[int | None, bool, bool] = (None, False, False)
         self._foot_weights = robot.tables.walking.foot_weight, robot.read(Tuning).disturbance.recovery_foot_weight
         feet = robot.tables.feet
         self._narrow = narrowness(robot.tables.size.leg, min(feet.left.half_width, feet.right.half_width))
@@ -167,7 +168,8 @@ class WholeBodyController(Controller):
         self.pelvis.advance(1e-9 * state.time, dt)
         changed = self.weights.advance()
         self._step(state, request.steps, dt)
-        mode = self._gait.swinging, self.recovering
+        steps = self._gait.active or (self._recovers and self.may_recover)
+        mode = self._gait.swinging, self.recovering, not steps
         if changed or mode != self._mode or reference.frozen is not self._frozen:
             self._frozen = reference.frozen
             self._weigh(*mode)
@@ -212,13 +214,16 @@ class WholeBodyController(Controller):
             self._stiffness = np.where(self._force, 0.0, asked.stiffness)
             self._damping = np.where(self._force, 0.0, asked.damping)
 
-    def _weigh(self, swinging: int | None = None, recovers: bool = False) -> None:
-        self._mode = swinging, recovers
+    def _weigh(self, swinging: int | None = None, recovers: bool = False, stays: bool = False) -> None:
+        self._mode = swinging, recovers, stays
         swing = None if swinging is None else (swinging, self._foot_weights[recovers])
         frozen = None if self._frozen is None else self._frozen[self._joints.places]
         weights = dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True))
         if recovers:  # a narrow sole mends little of what swinging a leg and righting the trunk cost the CoM
             weights[COM] /= self._narrow**2
+        if stays:
+            for name in (COM, FootMotion.weight):
+                weights[name] *= self._table.fixed_feet_factor
         self._objective.weigh(weights, swing, frozen)
 
     def _bounds(self, state: RobotState) -> Bounds:

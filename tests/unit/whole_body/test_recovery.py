@@ -72,9 +72,9 @@ def test_a_push_aside_is_answered_by_a_wide_step_of_the_foot_on_that_side(headin
 
 
 def test_pushes_one_after_another_are_survived_with_feet_fixed() -> None:
-    """Each of 80 % of what a point mass could stand: the robot must be wholly at rest again before the next."""
+    """Each of 87 % of what a point mass could stand: the robot must be wholly at rest again before the next."""
     loop = standing(load_robot(disturbance={"step_when_standing": False}), 0)
-    for direction, impulse in (("forward", 25.6), ("back", 25.6), ("right", 35.7)):
+    for direction, impulse in (("forward", 27.9), ("back", 27.9), ("right", 38.9)):
         loop.plant.push(impulse * np.array(DIRECTIONS[direction]), 0.1)
         until = loop.time + 4.0
         while loop.fall is None and loop.time < until:

@@ -141,7 +141,7 @@ def test_a_step_costs_what_the_next_one_cannot_mend(foot: int) -> None:
 
     alone, both = costs(-0.07)
     assert both < 0.3 * alone
-    alone, both = costs(-0.09)
+    alone, both = costs(-0.1)
     assert both > 0.8 * alone  # too much for the other foot, too
     alone, both = costs(0.05)
     assert both == pytest.approx(alone, rel=0.1)
