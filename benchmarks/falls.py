@@ -1,7 +1,8 @@
 """Falls after a push: what hits the ground, and how hard, with the landing and going limp at once.
 
 The simulator's truth: the largest force of the ground on the head, on both hands and forearms and on the trunk, in any
-physics step; and the robot's kinetic energy when anything but a foot first touches the ground.
+physics step; and the robot's kinetic energy when anything but a foot first touches the ground. A robot without a body
+for its head has it in its chest, above the shoulders.
 
     .venv/bin/python -m benchmarks.falls [--robot NAME] [--seeds 5] [--profile hardware] [--direction NAME] [--each]
 """
@@ -27,8 +28,9 @@ from valor.robot.description import RobotDescription
 from valor.robot.tables import WHOLE_BODY_GROUPS
 
 IMPULSE = 1.3  # by mass [N·s/kg]
-DIRECTIONS = {"forward": (1.0, 0.0), "backward": (-1.0, 0.0), "left": (0.0, 1.0), "forward and left": (0.7, 0.7)}
+DIRECTIONS = {"forward": 0.0, "backward": 180.0, "left": 90.0, "forward and left": 45.0}  # [°]
 LASTS = 2.5  # from the push [s]
+ABOVE = 0.08  # lowest point of a head in the chest above the shoulders [m]
 PARTS = ("head", "hands", "trunk")
 
 
@@ -42,11 +44,13 @@ class Impact(NamedTuple):
     lies: str  # behavior in the end, and the attitude [°]
 
 
-def fall(run: RobotInProcess, direction: tuple[float, float], lands: bool) -> Impact:
-    """Push a standing robot over; ``lands``: False to go limp at once."""
+def fall(run: RobotInProcess, heading: float, lands: bool) -> Impact:
+    """Push a standing robot over to a heading, 90 is left [°]; ``lands``: False to go limp at once."""
     plant, robot = run.plant, run.plant.model.robot
     mj, data = plant.model.mj, plant.data
     groups = parts(plant.model.mj, robot)
+    chest, shoulder = data.body(robot.tables.chest), data.joint(robot.tables.group("left_arm")[0])
+    neck = np.inf if robot.tables.head else float((shoulder.xanchor - chest.xpos) @ chest.xmat[2::3]) + ABOVE
     feet = [plant.model.body(foot.body) for foot in (robot.tables.feet.left, robot.tables.feet.right)]
     moved = np.concatenate([robot.group_indices(group) for group in WHOLE_BODY_GROUPS])  # not fingers
     forces, force = np.zeros(3), np.zeros(6)
@@ -54,7 +58,7 @@ def fall(run: RobotInProcess, direction: tuple[float, float], lands: bool) -> Im
     if not lands:
         Landing.begin = lambda *_: None  # type: ignore[method-assign]
     mass = float(mj.body_mass.sum())
-    plant.push(IMPULSE * mass * np.array((*direction, 0.0)), 0.1)
+    plant.push(IMPULSE * mass * np.array((np.cos(np.radians(heading)), np.sin(np.radians(heading)), 0.0)), 0.1)
     step = plant.step
 
     def watched(count: int) -> None:
@@ -68,7 +72,8 @@ def fall(run: RobotInProcess, direction: tuple[float, float], lands: bool) -> Im
                     continue  # of the robot with itself
                 body = int(bodies.max())
                 mujoco.mj_contactForce(mj, data, row, force)
-                now[groups[body]] += np.linalg.norm(force[:3])
+                head = body == chest.id and (data.contact[row].pos - chest.xpos) @ chest.xmat[2::3] > neck
+                now[[0] if head else groups[body]] += np.linalg.norm(force[:3])
                 if not touched and body not in feet and force[0] > 1.0:
                     touched = data.time
                     mujoco.mj_energyVel(mj, data)
@@ -113,8 +118,9 @@ def falls(robot: RobotDescription, profile: str, seed: int, directions: Sequence
         results[direction] = []
         for lands in (False, True):
             pipe, end = multiprocessing.Pipe()
+            heading = DIRECTIONS[direction] if direction in DIRECTIONS else float(direction)
             child = multiprocessing.get_context("fork").Process(
-                target=lambda end=end, d=direction, lands=lands: end.send(fall(run, DIRECTIONS[d], lands))
+                target=lambda end=end, heading=heading, lands=lands: end.send(fall(run, heading, lands))
             )
             child.start()
             results[direction].append(pipe.recv())
@@ -158,7 +164,7 @@ def main() -> None:
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--profile", default="hardware")
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--direction", choices=DIRECTIONS, action="append")
+    parser.add_argument("--direction", action="append", help=f"{', '.join(DIRECTIONS)}, or a heading, 90 is left [°]")
     parser.add_argument("--each", action="store_true", help="a row for each seed, too")
     options = parser.parse_args()
     directions = options.direction or list(DIRECTIONS)
