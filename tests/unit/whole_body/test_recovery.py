@@ -5,6 +5,7 @@ In one process, profile ``hardware``; what it can stand is in ``benchmarks/contr
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -168,3 +169,18 @@ def test_the_watch_reports_once_and_again_only_after_the_dcm_was_well_inside() -
     assert reported(edge + 0.01, 100) == 0  # it leans on something
     assert reported(0.0, 1) == 0 and reported(edge + 0.01, 100) == 1
     assert "outside" in watch.reason
+
+
+def test_the_dcm_of_steps_has_what_stopping_the_angular_momentum_will_add() -> None:
+    """ξ̇ = ω·(ξ − CoP) + (k̇_y, −k̇_x)·ω/(m·g), with k of the plant, of another mass than the model."""
+    loop = standing(load_robot(), 0)
+    loop.plant.push(np.array((30.0, 20.0, 0.0)), 0.1)
+    loop.run(0.1)
+    mj, data = loop.plant.model.mj, loop.plant.data
+    mujoco.mj_subtreeVel(mj, data)
+    base = loop.plant.model.body(loop.robot.tables.base)
+    x, y, _ = data.subtree_angmom[base]
+    height = data.subtree_com[base, 2] - loop.state.sole_positions_in_odom[:, 2].mean()
+    added = np.array((y, -x, 0.0)) / (mj.body_subtreemass[base] * np.sqrt(9.81 * height))
+    assert np.hypot(*added[:2]) > 0.01
+    np.testing.assert_allclose(loop.controller._turning(), added, rtol=0.25, atol=0.003)
