@@ -44,7 +44,8 @@ class WholeBody(Table):
     # Of the CoM's and the feet's weights while the robot may not step: its trunk sways for its balance.
     fixed_feet_factor: Positive = 5.0
     stance_stiffness: SquaredRate[NonNegative] = 100.0  # of the stance of both feet, against creep [1/s²]
-    arm_posture_weight: Positive = 0.5
+    arm_posture_weight: Positive = 2.0
+    arm_swing_factor: Positive = 0.25  # of that weight while a foot is in the air: arms give way to balance
     waist_posture_weight: Positive = 0.1
     leg_posture_weight: Positive = 0.02
     posture_stiffness: SquaredRate[Positive] = 60.0

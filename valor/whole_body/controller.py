@@ -32,7 +32,16 @@ from valor.whole_body.set_points import SetPoints
 from valor.whole_body.solver.elimination import UnsolvableError
 from valor.whole_body.solver.qp import Bounds, ContactForceQp, Objective
 from valor.whole_body.task_dynamics import TaskDynamics
-from valor.whole_body.tasks import TASKS, WEIGHTS, AngularMomentum, FootMotion, TaskWeights, motions, nominal_weights
+from valor.whole_body.tasks import (
+    ARMS,
+    TASKS,
+    WEIGHTS,
+    AngularMomentum,
+    FootMotion,
+    TaskWeights,
+    motions,
+    nominal_weights,
+)
 from valor.whole_body.walking.footsteps import RecoverySteps
 from valor.whole_body.walking.gait import Gait
 
@@ -221,6 +230,8 @@ class WholeBodyController(Controller):
         weights = dict(zip(WEIGHTS, self.weights.values.tolist(), strict=True))
         if recovers:  # a narrow sole mends little of what swinging a leg and righting the trunk cost the CoM
             weights[COM] /= self._narrow**2
+        if swinging is not None:
+            weights[ARMS] *= self._table.arm_swing_factor
         if stays:
             for name in (COM, FootMotion.weight):
                 weights[name] *= self._table.fixed_feet_factor

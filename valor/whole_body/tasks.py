@@ -219,8 +219,9 @@ TASKS: tuple[type[Task], ...] = (
     FootMotion,
 )
 
+ARMS = "arm_posture"
 GROUPS = {
-    "arm_posture": ("left_arm", "right_arm"),
+    ARMS: ("left_arm", "right_arm"),
     "waist_posture": ("torso",),
     "leg_posture": ("left_leg", "right_leg"),
 }
