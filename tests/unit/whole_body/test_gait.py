@@ -112,7 +112,7 @@ def test_a_foot_that_finds_no_ground_yet_is_no_fall(robot: RobotDescription, mon
     assert forward > 2.1  # beyond both
     assert up == pytest.approx(-0.1, abs=0.03)
     assert (np.sqrt((errors**2).mean(axis=0)) < (0.02, 0.015, 0.02)).all()
-    assert knee > 0.2
+    assert knee > 0.1  # of a leg that finds the ground late
 
 
 def test_walks_at_a_thousand_periods_a_second_as_at_five_hundred() -> None:
