@@ -118,7 +118,7 @@ def falls(robot: RobotDescription, profile: str, seed: int, directions: Sequence
         results[direction] = []
         for lands in (False, True):
             pipe, end = multiprocessing.Pipe()
-            heading = DIRECTIONS[direction] if direction in DIRECTIONS else float(direction)
+            heading = float(DIRECTIONS.get(direction, direction))
             child = multiprocessing.get_context("fork").Process(
                 target=lambda end=end, heading=heading, lands=lands: end.send(fall(run, heading, lands))
             )

@@ -119,9 +119,9 @@ def push(
     return Outcome(loop.fall, loop.time - began, steps, rms, knee, saturated, loop.command.qp_failures - failures)
 
 
-def go(loop: ClosedLoop, walk: VelocitySteps) -> None:
-    """Ask for the walk's speed once more."""
-    walk.command(np.array((SPEED, 0.0, 0.0)), loop.time)
+def go(loop: ClosedLoop, walk: VelocitySteps, speed: float = SPEED) -> None:
+    """Ask for the walk's speed once more [m/s]."""
+    walk.command(np.array((speed, 0.0, 0.0)), loop.time)
     walk.advance(loop.time)
 
 
@@ -136,8 +136,7 @@ def standing(robot: RobotDescription, profile: str, seed: int, hands: float = 0.
     if world != "flat":  # other ground begins ahead
         walk = loop.request.steps = VelocitySteps(robot.tables.walking)
         while loop.time < REACHED or not loop.controller.at_rest:
-            walk.command(np.array((SPEED * (loop.time < REACHED), 0.0, 0.0)), loop.time)
-            walk.advance(loop.time)
+            go(loop, walk, SPEED if loop.time < REACHED else 0.0)
             loop.step()
         loop.request.steps = None
         loop.run(2.2)
@@ -315,7 +314,7 @@ def asked() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robot", default="escher", help="name, or absolute path of a folder")
     parser.add_argument("--profile", default="hardware")
-    parser.add_argument("--world", default="flat", help="as of `valorctl up --world`, for instance dirt")
+    parser.add_argument("--world", default="flat", help="ground, by its name for `valorctl up --world`")
     parser.add_argument("--directions", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--step", type=float, default=RUNG, help="between rungs, for a mass of 75.9 kg [N·s]")

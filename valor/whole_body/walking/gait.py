@@ -371,7 +371,7 @@ class Gait:
         step, table = self._step, self._disturbance
         assert step is not None
         left = max(0.0, self._transfer + step.swing_duration - self._time)
-        foot = sole_poses(state)[step.foot].position
+        foot = state.sole_positions_in_odom[step.foot]
         pushed = self._guard.missed(left, foot, self._measured(state, shift)) > table.recovered
         self.source.ended(step)
         self._landed, self.swinging, self._sways = step.foot, None, False

@@ -42,6 +42,7 @@ from valor.robot.footsteps import LEFT
 UNBOUNDED = 1e30  # No bound, for the solver
 PEAK = 1.875  # Ratio of peak to mean speed of a minimum-jerk motion
 UNKNOWNS = 5  # s (2), r, d (2)
+ROWS = 10  # CoP (4), reach along the diagonals (2), way of the foot (4)
 PARAMETERS = 14
 
 
@@ -102,8 +103,9 @@ class StepAdjuster:
         self._gradient = np.zeros(UNKNOWNS)
         self._constant = np.zeros(1)
         self._evaluate = self._problem()
-        self._rows = np.zeros((10, UNKNOWNS))
-        self._upper, self._lower = np.full(15, UNBOUNDED), np.full(15, -UNBOUNDED)
+        self._rows = np.zeros((ROWS, UNKNOWNS))
+        bounds = UNKNOWNS + ROWS
+        self._upper, self._lower = np.full(bounds, UNBOUNDED), np.full(bounds, -UNBOUNDED)
 
     def _problem(self) -> Callable[[], None]:
         """Matrices of the objective as a function of the parameters, bound to the arrays of this object."""
