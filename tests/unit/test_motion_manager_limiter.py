@@ -105,13 +105,14 @@ def test_a_trajectory_within_the_limits_is_followed_exactly() -> None:
 
 
 @examples(25)
-@given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0))
-def test_a_move_arrives_with_all_joints_together_within_its_limits(seed: int, shortest: float) -> None:
+@given(st.integers(0, 2**32 - 1), st.floats(0.1, 2.0), st.sampled_from([0.0, 0.4, 0.8]))
+def test_a_move_arrives_with_all_joints_together_within_its_limits(seed: int, shortest: float, cruise: float) -> None:
     rng = np.random.default_rng(seed)
     start, goal = rng.uniform(-1, 1, N), rng.uniform(-1, 1, N)
     velocity, acceleration = rng.uniform(0.1, 2, N), rng.uniform(1, 20, N)
-    move = PostureMove(start, goal, velocity=velocity, acceleration=acceleration, began=5.0, shortest=shortest)
-    assert move.duration >= shortest
+    limits = {"velocity": velocity, "acceleration": acceleration}
+    move = PostureMove(start, goal, **limits, began=5.0, shortest=shortest, cruise=cruise)
+    assert shortest <= move.duration <= PostureMove(start, goal, **limits, began=5.0, shortest=shortest).duration
     times = np.linspace(5.0, 5.0 + move.duration, 201)
     samples = [move.at(float(t)) for t in times]
     position, rate, change = (np.array(column) for column in zip(*samples, strict=True))
@@ -119,8 +120,14 @@ def test_a_move_arrives_with_all_joints_together_within_its_limits(seed: int, sh
     assert (np.abs(rate) <= velocity * (1 + 1e-9)).all()
     assert (np.abs(change) <= acceleration * (1 + 1e-9)).all()
     assert np.allclose(np.gradient(position, times, axis=0)[1:-1], rate[1:-1], atol=0.02 * velocity.max())
-    assert np.allclose(np.gradient(rate, times, axis=0)[1:-1], change[1:-1], atol=0.02 * acceleration.max())
+    assert np.allclose(np.gradient(rate, times, axis=0)[1:-1], change[1:-1], atol=0.05 * acceleration.max())
     assert np.allclose(move.at(1e3)[0], goal) and not move.at(1e3)[1].any()
+
+
+def test_a_long_move_at_steady_velocity_takes_little_longer_than_at_full_velocity() -> None:
+    limits = {"velocity": np.full(2, 2.0), "acceleration": np.full(2, 20.0)}
+    move = PostureMove(np.zeros(2), np.array([6.0, -3.0]), **limits, began=0.0, shortest=0.1, cruise=0.8)
+    assert 3.0 < move.duration < 1.15 * 3.0
 
 
 def everything() -> np.ndarray:

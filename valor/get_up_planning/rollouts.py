@@ -12,7 +12,7 @@ from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import Posture, lying
+from valor.robot.get_up_table import CRUISE, Posture, lying
 from valor.robot.model import Model
 from valor.robot.posture_move import PostureMove
 from valor.robot.tables import SIDES
@@ -124,6 +124,7 @@ class Rollouts:
             acceleration=self._limits.acceleration,
             began=0.0,
             shortest=target.duration,
+            cruise=CRUISE,
         )
 
     def joints(self, state: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from valor.robot.description import RobotDescription
 from valor.robot.posture_move import PostureMove
 
 FILE = "get_up.yaml"  # in the robot's folder
+CRUISE = 0.7  # share of a motion at steady velocity, at most
 _ROUNDING = 0.01  # of durations in the file [s]
 
 
@@ -133,7 +134,7 @@ def _motion_violations(robot: RobotDescription, at: tuple[str, ...], poses: Iter
         posture[[robot.index[name] for name in pose.joints]] = list(pose.joints.values())
         if before is not None:  # the first pose starts from any posture
             move = PostureMove(
-                before, posture, velocity=limits.velocity, acceleration=limits.acceleration, began=0.0, shortest=0.0
+                before, posture, velocity=limits.velocity, acceleration=limits.acceleration, began=0.0, shortest=0.0, cruise=CRUISE
             )
             if pose.duration < move.duration - _ROUNDING:
                 what = (

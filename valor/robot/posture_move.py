@@ -1,4 +1,7 @@
-"""Minimum-jerk motion of joints to a posture: simultaneous arrival, limited velocity and acceleration."""
+"""Motion of joints to a posture: simultaneous arrival, limited velocity and acceleration.
+
+The joints move with minimum jerk. If velocity limits the duration, they may keep their velocity between both halves.
+"""
 
 import numpy as np
 
@@ -21,19 +24,23 @@ class PostureMove:
         acceleration: FloatArray,
         began: float,
         shortest: float,
+        cruise: float = 0.0,
     ) -> None:
         """Plan the motion from rest at ``start`` (n,) [rad] at the robot time ``began`` [s].
 
         Limits are ``velocity`` (n,) [rad/s] and ``acceleration`` (n,) [rad/s²]; the least duration is ``shortest`` [s].
+        The share of the duration at steady velocity is ``cruise`` at most.
         """
         self._start, self.goal, self._began = start.copy(), goal.copy(), began
         self._way: FloatArray = self.goal - self._start
-        distance = np.abs(self._way)
-        self.duration = max(
-            shortest,
-            _PEAK_VELOCITY * float(np.max(distance / velocity, initial=0.0)),
-            float(np.sqrt(_PEAK_ACCELERATION * np.max(distance / acceleration, initial=0.0))),
-        )
+        distance, gain = np.abs(self._way), _PEAK_VELOCITY - 1.0
+        fastest = _PEAK_VELOCITY * float(np.max(distance / velocity, initial=0.0))  # at minimum jerk
+        sharpest = _PEAK_ACCELERATION * float(np.max(distance / acceleration, initial=0.0))
+        if sharpest:  # a longer cruise would need more acceleration
+            cruise = min(cruise, max(0.0, (fastest**2 - sharpest) / (fastest**2 + gain * sharpest)))
+        self.duration = max(shortest, fastest / (1.0 + gain * cruise), float(np.sqrt(sharpest)))
+        self._jerked = 1.0 - max(0.0, fastest - self.duration) / (gain * self.duration or 1.0)  # share at minimum jerk
+        self._scale = self._jerked / (self._jerked + _PEAK_VELOCITY * (1.0 - self._jerked))
 
     def progress(self, now: float) -> float:
         """Return elapsed time relative to the duration, 0 to 1."""
@@ -50,11 +57,18 @@ class PostureMove:
     def gone(self, now: float) -> float:
         """Return the completed share of the path, 0 to 1."""
         tau = self.progress(now)
-        return tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
+        near = min(tau, 1.0 - tau)  # of an end
+        u = min(0.5, near / self._jerked)
+        steady = near / self._jerked - u
+        gone = self._scale * (u**3 * (10.0 + u * (6.0 * u - 15.0)) + _PEAK_VELOCITY * steady)
+        return gone if tau < 0.5 else 1.0 - gone
 
     def at(self, now: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position [rad], velocity [rad/s] and acceleration [rad/s²], (n,) each."""
         tau = self.progress(now)
-        rate = 30.0 * tau**2 * (1.0 - tau) ** 2 / self.duration
-        change = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / self.duration**2
+        u = min(0.5, min(tau, 1.0 - tau) / self._jerked)
+        time = self._jerked * self.duration
+        rate = self._scale * 30.0 * u**2 * (1.0 - u) ** 2 / time
+        change = self._scale * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / time**2
+        change = change if tau < 0.5 else -change
         return self._start + self.gone(now) * self._way, rate * self._way, change * self._way

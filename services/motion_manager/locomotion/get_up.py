@@ -21,7 +21,7 @@ from valor.control.state import RobotState
 from valor.motion_manager.locomotion.driver import Driver
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import FILE, Balance, KeyPose, Motion, Posture, attitude, load, lying, other
+from valor.robot.get_up_table import CRUISE, FILE, Balance, KeyPose, Motion, Posture, attitude, load, lying, other
 from valor.robot.mirror import mirrored
 from valor.robot.posture_move import PostureMove
 
@@ -191,6 +191,7 @@ class GetUp:
             acceleration=self._limits.acceleration,
             began=now,
             shortest=pose.duration,
+            cruise=CRUISE,
         )
 
 
