@@ -10,9 +10,19 @@ import pytest
 
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
-from valor.get_up_planning.plan import table
+from valor.get_up_planning.plan import ONWARD, shortened, table
 from valor.get_up_planning.rollouts import HEADING, Fallen, Rollouts, Target
-from valor.get_up_planning.search import NoMotionFoundError, RollOver, Search, Squat, StandUp, find
+from valor.get_up_planning.search import (
+    STARTS,
+    NoMotionFoundError,
+    OnFeet,
+    OnHandsAndKnees,
+    RollOver,
+    Search,
+    Squat,
+    StandUp,
+    find,
+)
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import FILE, Posture, load
 
@@ -49,6 +59,74 @@ def test_a_deep_squat_balances_on_the_soles(name: str) -> None:
     assert squat.succeeded(states) and robot.joints(states[-1])[squat.knee] > 2.0
 
 
+@pytest.mark.parametrize("name", ["escher", "thor"])
+def test_a_robot_gets_up_over_its_knees_as_its_table_says(name: str) -> None:
+    robot = rollouts(name)
+    assert not Squat(robot).folds
+    rise, search = motion(robot.robot, Posture.FACE), OnFeet(robot)
+    lying = [fall for fall in robot.fallen(range(20, 24)) if fall.way is Posture.FACE]
+    results = robot.play([(fall, rise) for fall in lying])
+    assert [search.succeeded(states) for states in results].count(True) >= len(lying) - 1
+    assert not search.succeeded(results[0][:-3])
+
+
+@pytest.mark.parametrize("name", ["escher", "thor"])
+def test_a_robot_that_rolled_over_draws_up_its_hips_without_an_arm_below_it(name: str) -> None:
+    robot = rollouts(name)
+    over = RollOver(robot, motion(robot.robot, Posture.FACE)[:ONWARD])
+    roll = motion(robot.robot, Posture.BACK)
+    lying = [fall for fall in robot.fallen(range(20, 24)) if fall.way in over.start]
+    results = over.play(roll, lying)
+    assert [over.succeeded(states) for states in results].count(True) >= len(lying) - 1
+    assert not over.succeeded([results[0][0]] * len(results[0]))
+
+
+def motion(robot: RobotDescription, start: Posture) -> list[Target]:
+    table = load(robot)
+    assert table is not None
+    (poses,) = [motion.poses for motion in table.motions if start in motion.start]
+    goal, targets = robot.nominal_posture, list[Target]()
+    for pose in poses:
+        goal = goal.copy()
+        goal[[robot.index[joint] for joint in pose.joints]] = list(pose.joints.values())
+        targets.append(Target(pose.name, goal, pose.duration, pose.hold, pose.balanced))
+    return targets
+
+
+def test_arms_turn_little_from_overhead_to_the_floor_ahead() -> None:
+    robot = rollouts("escher")
+    pitch = robot.robot.index["l_shoulder_pitch"]
+    search = OnHandsAndKnees(robot)
+    goals = [target.goal[pitch] for target in search.targets(search.mean)[1:]]
+    assert goals[0] < -2.5 and (np.abs(np.diff(goals)) < 1.0).all()
+
+
+@pytest.mark.parametrize("lean", [-0.06, 0.04])
+def test_balance_brings_the_centre_of_mass_nearer_to_the_middle_of_the_soles(lean: float) -> None:
+    robot = rollouts("escher")
+    start, goal = standing(robot, robot.robot.nominal_posture), robot.robot.nominal_posture.copy()
+    goal[[robot.robot.index[name] for name in robot.balance.joints]] += lean
+    motions = [(start, [Target("lean", goal, 0.5, 2.0, balanced)]) for balanced in (False, True)]
+    foot = robot.robot.tables.feet.left
+    alone, balanced = (
+        abs(robot.over_soles(states[-1])[0][0] - 0.5 * (foot.heel + foot.toe)) for states in robot.play(motions)
+    )
+    assert balanced < 0.7 * alone
+
+
+def test_a_motion_is_shortened_to_what_it_needs() -> None:
+    goal, reports = np.zeros(1), list[str]()
+    poses = [Target(name, goal, 2.0, 1.0) for name in ("idle", "slow", "last")]
+
+    def count(poses: Sequence[Target], falls: int) -> int:
+        slow = [pose for pose in poses if pose.name == "slow"]
+        return falls if slow and slow[0].duration >= 1.0 and poses[-1].name == "last" else falls - 1
+
+    short = shortened(poses, count, reports.append)
+    assert [(pose.name, pose.duration) for pose in short] == [("slow", 1.0), ("last", 0.75)]
+    assert reports[0] == "idle: left out" and "slow: 50% shorter" in reports
+
+
 def test_a_robot_falls_limp_to_every_side_and_holds_what_it_is_given() -> None:
     robot = rollouts("escher")
     falls = robot.fallen(range(2))
@@ -82,7 +160,8 @@ class Reach(Search):
 @pytest.mark.parametrize("near", [0.3, -1.0])
 def test_a_search_finds_what_there_is_or_gives_up_with_the_reason(monkeypatch: pytest.MonkeyPatch, near: float) -> None:
     monkeypatch.setattr(Rollouts, "play", lambda _, motions: [[targets[-1].goal] for _, targets in motions])
-    falls = [Fallen(rollouts("escher").model.mj, np.zeros(1), np.zeros(1), None)] * 5
+    monkeypatch.setattr(Rollouts, "duration", lambda *_: 0.1)
+    falls = [Fallen(rollouts("escher").model.mj, np.zeros(1), np.zeros(1), None)] * (STARTS + 2)
     reports: list[str] = []
     if near > 0.0:
         (target,) = find(Reach(near), falls, 0, reports.append)

@@ -1,18 +1,31 @@
 """Search for the motions by which a robot gets up: the content of ``get_up.yaml``."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
 from valor.get_up_planning.rollouts import Fallen, Rollouts, Target
-from valor.get_up_planning.search import REACHES, Report, RollOver, Search, Squat, StandUp, find
+from valor.get_up_planning.search import (
+    OnFeet,
+    OnHandsAndKnees,
+    OnKnees,
+    Report,
+    RollOver,
+    Search,
+    Squat,
+    StandUp,
+    find,
+)
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import Posture, attitude
-from valor.robot.size import ESCHER
 
-FALLS = 16  # towards each side
-GAIN, LIMIT = 0.6, 0.15  # of the ankles with ESCHER's legs [rad/m]; angle [rad]
+FALLS = 24  # towards each side
+ONWARD = 3  # key poses of a rise that follow when a roll-over is simulated
+CHECKED = (8, 32)  # falls from which a shorter motion succeeds as often: a few, then many
+SHORTER = (0.0, 0.5, 0.75)  # share of a key pose's time
+SHORTEST = 0.1  # duration [s]
 ROLL = 45.0  # of the pelvis, at most [deg]
 ROOM = 30.0  # of the pelvis pitch around that of the simulated motions [deg]
 _HEAD = """\
@@ -29,21 +42,52 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
     Raises ``NoMotionFoundError``.
     """
     rollouts = Rollouts(robot)
-    falls = rollouts.fallen(range(FALLS))
+    falls, others = rollouts.fallen(range(FALLS)), rollouts.fallen(range(FALLS, 3 * FALLS))
 
-    def found(search: Search, starts: Sequence[Fallen]) -> list[Target]:
-        return find(search, starts, seed, report)
+    def shorter(poses: Sequence[Target], start: Sequence[Posture | None], search: Search) -> list[Target]:
+        starts = [fall for fall in others if fall.way in start]
 
-    squat = found(search := Squat(rollouts), falls)
-    lying = [fall for fall in falls if fall.way is Posture.FACE]
-    squatting = [
-        Fallen(fall.mj, states[-1], squat[-1].goal, None)
-        for fall, states in zip(lying, rollouts.play([(fall, squat) for fall in lying]), strict=True)
-        if search.succeeded(states)
-    ]
-    rise = squat + found(StandUp(rollouts), squatting)
-    roll = found(RollOver(rollouts), falls)
+        def count(poses: Sequence[Target], first: int) -> int:
+            return [search.succeeded(states) for states in search.play(poses, starts[:first])].count(True)
+
+        return shortened(poses, count, report)
+
+    lying = starts = [fall for fall in falls if fall.way is Posture.FACE]
+    rise = list[Target]()
+    for kind in (Squat, StandUp) if Squat(rollouts).folds else (OnHandsAndKnees, OnKnees, OnFeet):
+        search = kind(rollouts)
+        part = find(search, starts, seed, report)
+        starts = [
+            Fallen(start.mj, states[-1], part[-1].goal, None)
+            for start, states in zip(starts, search.play(part, starts), strict=True)
+            if search.succeeded(states)
+        ]
+        rise += part
+    rise = shorter(rise, (Posture.FACE,), search)
+    over = RollOver(rollouts, rise[:ONWARD])
+    roll = shorter(find(over, falls, seed, report), over.start, over)
     return table(rollouts, lying, rise, roll)
+
+
+def shortened(poses: Sequence[Target], count: Callable[[Sequence[Target], int], int], report: Report) -> list[Target]:
+    """Return a motion's key poses without those, and with less time for those, without which it succeeds as often.
+
+    ``count`` returns how often a motion succeeds from the first falls, so many.
+    """
+    poses, least = list(poses), [count(poses, falls) for falls in CHECKED]
+    for share in SHORTER:
+        i = 0
+        while i < len(poses) - (not share):
+            pose = poses[i]
+            shorter = replace(pose, duration=max(share * pose.duration, SHORTEST))
+            tried = [*poses[:i], *([shorter] if share else []), *poses[i + 1 :]]
+            if all(count(tried, falls) >= known for falls, known in zip(CHECKED, least, strict=True)):
+                poses = tried
+                report(f"{pose.name}: {f'{1.0 - share:.0%} shorter' if share else 'left out'}")
+                i += share > 0.0
+            else:
+                i += 1
+    return poses
 
 
 def table(rollouts: Rollouts, lying: Sequence[Fallen], rise: Sequence[Target], roll: Sequence[Target]) -> str:
@@ -59,8 +103,8 @@ def _lines(
     pitch = np.array([[attitude(rollouts.upwards(state))[0] for state in states] for states in ends])
     yield _HEAD.format(robot=robot.name).rstrip()
     yield f"roll: {ROLL:g}  # of the pelvis, at most [deg]"
-    gain = GAIN * ESCHER.leg / robot.tables.size.leg
-    yield f"balance: {{ joints: [{', '.join(search.ankles)}], gain: {gain:.2f}, limit: {LIMIT:g} }}"
+    balance = rollouts.balance
+    yield f"balance: {{ joints: [{', '.join(balance.joints)}], gain: {balance.gain:g}, limit: {balance.limit:g} }}"
     yield "motions:"
     yield from _motion(
         rollouts, "face", Posture.STANDING, rise, np.stack([pitch.min(0) - ROOM, pitch.max(0) + ROOM], 1)
@@ -81,7 +125,7 @@ def _motion(
         yield f"        hold: {target.hold:g}"
         if pitch is not None:
             yield f"        pitch: [{max(-180.0, pitch[i, 0]):.0f}, {min(180.0, pitch[i, 1]):.0f}]"
-            if i >= len(REACHES) - 1:
+            if target.balanced:
                 yield "        balanced: true"
         moved = [j for j, angle in enumerate(goal) if before is None or angle != before[j]]
         named = [f"{robot.joints[j]}: {goal[j]:g}" for j in moved]

@@ -10,11 +10,14 @@ from mujoco import rollout
 
 from valor.common import rotation
 from valor.common.arrays import FloatArray
+from valor.robot.checks.stance import Stance
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import CRUISE, Posture, lying
+from valor.robot.get_up_table import CRUISE, Balance, Posture, lying
 from valor.robot.model import Model
 from valor.robot.posture_move import PostureMove
+from valor.robot.size import ESCHER
+from valor.robot.sole_balance import SoleBalance
 from valor.robot.tables import SIDES
 from valor.simulation.actuators import Gears
 from valor.simulation.plant import scene
@@ -23,6 +26,9 @@ STEP = 0.004  # of the physics; damping is implicit [s]
 THREADS = 2
 LYING = 3.0  # time of a fall [s]
 PROFILE = "hardware"  # of actuators, if robot.yaml has it: friction and errors of masses
+PERIODS = 3  # of the physics in one of the balance
+GAIN, LIMIT = 2.0, 0.3  # of the balance with ESCHER's legs [rad/m]; angle [rad]
+MARGIN = 2.0  # of the masses' errors
 LIMP = 0.02  # damping of a limp joint, relative to its servo's
 HEADING = {Posture.FACE: 0.0, Posture.LEFT: 0.5, Posture.BACK: 1.0, Posture.RIGHT: 1.5}  # of a fall [half turns]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -36,6 +42,7 @@ class Target:
     goal: FloatArray
     duration: float
     hold: float = 0.0
+    balanced: bool = False  # on the soles, where Get Up balances
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +75,13 @@ class Rollouts:
         table = profiles.get(PROFILE) or next(iter(profiles.values()))
         mj.dof_frictionloss[self.model.dof] = Gears.of(robot, table).friction
         mj.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-        self._mass_error = table.mass_error
+        self._mass_error = MARGIN * table.mass_error
         self._limits = CommandedLimits.of_joints(robot)
         self._lead = robot.servo_damping / robot.servo_stiffness  # [s]
+        self.stance = Stance(robot)
+        ankles = [self.stance.pitch_joints(side)[-1] for side in SIDES]
+        self.balance = Balance(joints=ankles, gain=round(GAIN * ESCHER.leg / robot.tables.size.leg, 2), limit=LIMIT)
+        self._kinematics = mujoco.MjData(mj)
         self._pool = rollout.Rollout(nthread=THREADS)
         self._data = [mujoco.MjData(mj) for _ in range(THREADS)]
 
@@ -100,20 +111,69 @@ class Rollouts:
         ]
 
     def play(self, motions: Sequence[tuple[Fallen, Sequence[Target]]]) -> list[list[FloatArray]]:
-        """Return the states after each key pose's hold, for each motion."""
-        commands, ends = [], []
+        """Return the states after each key pose's hold, for each motion; it balances from its first such pose on."""
+        commands, ends, open_loop = list[FloatArray](), list[list[int]](), list[int]()
         for fallen, targets in motions:
-            start, parts, end = fallen.posture, list[FloatArray](), list[int]()
+            start, parts, end = fallen.posture, list[FloatArray](), [0]
             for target in targets:
                 parts += self._command(start, target)
                 start = target.goal
-                end.append(sum(map(len, parts)) - 1)
+                end.append(sum(map(len, parts)))
             commands.append(np.concatenate(parts))
-            ends.append(end)
-        longest = max(map(len, commands))
+            ends.append(end[1:])
+            balanced = [i for i, target in zip(end, targets, strict=False) if target.balanced]
+            open_loop.append(min(balanced, default=end[-1]))
+        rest = max(len(each) - first for each, first in zip(commands, open_loop, strict=True))
+        longest = max(open_loop) + rest
         padded = np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), "edge") for each in commands])
-        out = self._simulate([one.mj for one, _ in motions], np.array([one.state for one, _ in motions]), padded)
-        return [[states[i] for i in end] for states, end in zip(out, ends, strict=True)]
+        models, states = [one.mj for one, _ in motions], np.array([one.state for one, _ in motions])
+        out = self._simulate(models, states, padded[:, : max(open_loop)])
+        begun = np.array([states[first - 1] for states, first in zip(out, open_loop, strict=True)])
+        remaining = np.stack([each[first : first + rest] for each, first in zip(padded, open_loop, strict=True)])
+        return [
+            [(states[i - 1] if i <= first else later[i - 1 - first]) for i in end]
+            for states, later, first, end in zip(
+                out, self._balance(models, begun, remaining), open_loop, ends, strict=True
+            )
+        ]
+
+    def _balance(self, models: list[mujoco.MjModel], states: FloatArray, commands: FloatArray) -> FloatArray:
+        """Return the states (k, t, ·) under commands (k, t, n) and the balance of Get Up."""
+        out, balances = [states[:, None]], [SoleBalance(self.robot, self.balance) for _ in models]
+        for i in range(0, commands.shape[1], PERIODS):
+            chunk = commands[:, i : i + PERIODS].copy()
+            for k, (state, balance) in enumerate(zip(states, balances, strict=True)):
+                position, (com, forward, _, _) = chunk[k, 0].copy(), self.over_soles(state)
+                balance.lean(position, com, forward, i * STEP)
+                chunk[k] += position - chunk[k, 0]
+            out.append(self._simulate(models, states, chunk))
+            states = out[-1][:, -1]
+        return np.concatenate(out[1:] or out, axis=1)
+
+    def over_soles(self, state: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
+        """Return the CoM (3,) from between the soles' frames [m], the sum (2,) of their axes, tilt and height.
+
+        Of the soles: 1 less the cosine of their tilt, and the height of their middles above the ground [m], both means.
+        """
+        model, data = self.model, self._kinematics
+        data.qpos[:] = state[1 : 1 + model.mj.nq]
+        mujoco.mj_kinematics(model.mj, data)
+        mujoco.mj_comPos(model.mj, data)
+        com, forward, tilt, height = data.subtree_com[model.body(self.robot.tables.base)].copy(), np.zeros(2), 0.0, 0.0
+        for side in SIDES:
+            foot, site = self.stance.foot(side), data.site(self.stance.foot(side).sole)
+            com -= 0.5 * site.xpos
+            forward += site.xmat[[0, 3]]
+            tilt += 0.5 * (1.0 - site.xmat[8])
+            height += 0.5 * abs(site.xpos[2] + 0.5 * (foot.heel + foot.toe) * site.xmat[6])
+        return com, forward, tilt, height
+
+    def duration(self, start: FloatArray, targets: Sequence[Target]) -> float:
+        """Return the time of the motions between key poses from (n,) joint positions, without holds [s]."""
+        return sum(
+            self.move(before, target).duration
+            for before, target in zip([start, *(target.goal for target in targets)], targets, strict=False)
+        )
 
     def move(self, start: FloatArray, target: Target) -> PostureMove:
         """Return the motion to a key pose from (n,) joint positions."""

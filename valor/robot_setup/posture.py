@@ -179,23 +179,29 @@ class Poser:
     def _hip_height(self, pitch: Sequence[str]) -> float:
         return float(self.anchor(pitch[0])[2] - self.anchor(pitch[-1])[2])
 
-    def solve_reach(self, arm: Chain, direction: FloatArray, rest: Mapping[str, float]) -> dict[str, float]:
-        """Return the angles [rad] that put a hand in a direction (3,) from its shoulder, in lengths of the arm."""
+    def solve_reach(
+        self, arm: Chain, direction: FloatArray, rest: Mapping[str, float], near: Mapping[str, float] | None = None
+    ) -> dict[str, float]:
+        """Return the angles [rad], near others or 0, that put a hand in a direction (3,) from its shoulder.
+
+        The direction is in lengths of the arm.
+        """
         names = list(arm.joints)
         low, high = self.bounds(names)
         self.set_posture(rest)
         points = [self.anchor(name) for name in names] + [self.site(arm.site)[0]]
         length = _length(points)
         goal = points[0] + length * direction
+        centre = np.array([near[name] if near else 0.0 for name in names])
 
         def residual(x: FloatArray) -> FloatArray:
             self.set_posture(dict(rest) | dict(zip(names, x, strict=True)))
-            return np.concatenate([(self.site(arm.site)[0] - goal) / length, 0.03 * x])
+            return np.concatenate([(self.site(arm.site)[0] - goal) / length, 0.03 * (x - centre)])
 
         best = None
         for start in (0.0, 0.4, -0.4):
             solution = least_squares(
-                residual, np.clip(np.full(len(names), start), low + 1e-3, high - 1e-3), bounds=(low, high), max_nfev=60
+                residual, np.clip(centre + start, low + 1e-3, high - 1e-3), bounds=(low, high), max_nfev=60
             )
             if best is None or solution.cost < best.cost - 1e-4:
                 best = solution

@@ -10,7 +10,6 @@ middle.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import sqrt
 
 import numpy as np
 
@@ -21,18 +20,16 @@ from valor.control.state import RobotState
 from valor.motion_manager.locomotion.driver import Driver
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import CRUISE, FILE, Balance, KeyPose, Motion, Posture, attitude, load, lying, other
+from valor.robot.get_up_table import CRUISE, FILE, KeyPose, Motion, Posture, attitude, load, lying, other
 from valor.robot.mirror import mirrored
 from valor.robot.posture_move import PostureMove
+from valor.robot.sole_balance import SoleBalance
 
 AT_REST = 0.5  # angular velocity of the pelvis of a robot at rest, at most [rad/s]
 COMING_TO_REST = 2.0  # timeout for rest after a pose's hold [s]
 RESTING = 0.3  # time at rest before the robot looks how it lies [s]
 SETTLING = 6.0  # timeout for it [s]
 ATTEMPTS = 5  # motions that fail, at most
-COM_SPEED_FILTER = 0.03  # time constant [s]
-LOWEST_COM = 0.3  # height above the soles for the DCM, at least [m]
-GRAVITY = 9.81  # [m/s²]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +150,8 @@ class GetUp:
         assert self._move is not None
         position, velocity, _ = self._move.at(now)
         if self._balance is not None and self.way.poses[self._stage].balanced:
-            self._balance.lean(position, state, now)
+            com = state.com_in_odom - state.sole_positions_in_odom.mean(0)
+            self._balance.lean(position, com, state.sole_rotations_in_odom[:, :2, 0].sum(0), now)
         command.hold(position, velocity, self._no_effort)
 
     def _rest(self, state: RobotState, now: float) -> None:
@@ -193,35 +191,6 @@ class GetUp:
             shortest=pose.duration,
             cruise=CRUISE,
         )
-
-
-class SoleBalance:
-    """DCM feedback on the ankles; odometry is invalid after lying, so only the CoM relative to the soles counts."""
-
-    def __init__(self, robot: RobotDescription, table: Balance) -> None:
-        self._joints = np.array([robot.index[name] for name in table.joints])
-        self._limits = CommandedLimits.of_joints(robot).select(self._joints)
-        self._gain, self._limit = table.gain, table.limit
-        foot = robot.tables.feet.left
-        self._middle = 0.5 * (foot.heel + foot.toe)  # of a sole, ahead of its frame [m]
-        self._before = (-1.0, 0.0, 0.0)  # time [s], CoM ahead [m], its speed [m/s]
-
-    def lean(self, position: FloatArray, state: RobotState, now: float) -> None:
-        """Add the feedback to the joint reference ``position`` (n,) [rad]."""
-        forward = state.sole_rotations_in_odom[:, :2, 0].sum(0)
-        way = state.com_in_odom[:2] - state.sole_positions_in_odom[:, :2].mean(0)
-        ahead = float(way @ forward) / float(np.hypot(*forward)) - self._middle
-        height = float(state.com_in_odom[2] - state.sole_positions_in_odom[:, 2].mean())
-        then, before, speed = self._before
-        passed = now - then
-        if 0.0 < passed < COM_SPEED_FILTER:
-            speed += passed / COM_SPEED_FILTER * ((ahead - before) / passed - speed)
-        elif passed:
-            speed = 0.0
-        self._before = (now, ahead, speed)
-        dcm = ahead + speed * sqrt(max(height, LOWEST_COM) / GRAVITY)
-        angle = min(self._limit, max(-self._limit, self._gain * dcm))
-        position[self._joints] = self._limits.position_within(position[self._joints] + angle)
 
 
 def turning(state: RobotState) -> float:

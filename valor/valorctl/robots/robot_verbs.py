@@ -119,7 +119,7 @@ def new(
 def get_up(
     named: Named, force: Annotated[bool, typer.Option("--force", help="Replace an existing get_up.yaml.")] = False
 ) -> None:
-    """Search for the motions by which the robot gets up, in simulation, for some minutes; writes get_up.yaml."""
+    """Search for the motions by which the robot gets up, in simulation, up to half an hour; writes get_up.yaml."""
     from valor.get_up_planning.plan import plan
     from valor.robot.description import RobotDescription
     from valor.robot.get_up_table import FILE
