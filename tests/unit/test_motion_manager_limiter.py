@@ -110,9 +110,13 @@ def test_a_move_arrives_with_all_joints_together_within_its_limits(seed: int, sh
     rng = np.random.default_rng(seed)
     start, goal = rng.uniform(-1, 1, N), rng.uniform(-1, 1, N)
     velocity, acceleration = rng.uniform(0.1, 2, N), rng.uniform(1, 20, N)
-    limits = {"velocity": velocity, "acceleration": acceleration}
-    move = PostureMove(start, goal, **limits, began=5.0, shortest=shortest, cruise=cruise)
-    assert shortest <= move.duration <= PostureMove(start, goal, **limits, began=5.0, shortest=shortest).duration
+    move, slow = (
+        PostureMove(
+            start, goal, velocity=velocity, acceleration=acceleration, began=5.0, shortest=shortest, cruise=share
+        )
+        for share in (cruise, 0.0)
+    )
+    assert shortest <= move.duration <= slow.duration
     times = np.linspace(5.0, 5.0 + move.duration, 201)
     samples = [move.at(float(t)) for t in times]
     position, rate, change = (np.array(column) for column in zip(*samples, strict=True))
@@ -125,8 +129,10 @@ def test_a_move_arrives_with_all_joints_together_within_its_limits(seed: int, sh
 
 
 def test_a_long_move_at_steady_velocity_takes_little_longer_than_at_full_velocity() -> None:
-    limits = {"velocity": np.full(2, 2.0), "acceleration": np.full(2, 20.0)}
-    move = PostureMove(np.zeros(2), np.array([6.0, -3.0]), **limits, began=0.0, shortest=0.1, cruise=0.8)
+    velocity, acceleration, goal = np.full(2, 2.0), np.full(2, 20.0), np.array([6.0, -3.0])
+    move = PostureMove(
+        np.zeros(2), goal, velocity=velocity, acceleration=acceleration, began=0.0, shortest=0.1, cruise=0.8
+    )
     assert 3.0 < move.duration < 1.15 * 3.0
 
 

@@ -13,7 +13,7 @@ from valor.common.arrays import FloatArray
 from valor.robot.checks.stance import Stance
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import CRUISE, Balance, Posture, lying
+from valor.robot.get_up_table import Balance, Posture, lying, posture_move
 from valor.robot.model import Model
 from valor.robot.posture_move import PostureMove
 from valor.robot.size import ESCHER
@@ -177,15 +177,7 @@ class Rollouts:
 
     def move(self, start: FloatArray, target: Target) -> PostureMove:
         """Return the motion to a key pose from (n,) joint positions."""
-        return PostureMove(
-            start,
-            target.goal,
-            velocity=self._limits.velocity,
-            acceleration=self._limits.acceleration,
-            began=0.0,
-            shortest=target.duration,
-            cruise=CRUISE,
-        )
+        return posture_move(self._limits, start, target.goal, target.duration)
 
     def joints(self, state: FloatArray) -> FloatArray:
         """Return the joint positions (n,) [rad] in a state."""

@@ -103,6 +103,16 @@ class GetUpTable(Table):
     motions: Annotated[list[Motion], Meta(min_length=1)]
 
 
+def posture_move(
+    limits: CommandedLimits, start: FloatArray, goal: FloatArray, shortest: float = 0.0, began: float = 0.0
+) -> PostureMove:
+    """Return the motion to a key pose ``goal`` (n,) from ``start`` (n,) [rad]; times [s]."""
+    velocity, acceleration = limits.velocity, limits.acceleration
+    return PostureMove(
+        start, goal, velocity=velocity, acceleration=acceleration, began=began, shortest=shortest, cruise=CRUISE
+    )
+
+
 def load(robot: RobotDescription) -> GetUpTable | None:
     """Return a robot's table, or None if it cannot get up. Raises ConfigurationError with file, line and key."""
     file = robot.folder / FILE
@@ -133,9 +143,7 @@ def _motion_violations(robot: RobotDescription, at: tuple[str, ...], poses: Iter
         posture = (robot.nominal_posture if before is None else before).copy()
         posture[[robot.index[name] for name in pose.joints]] = list(pose.joints.values())
         if before is not None:  # the first pose starts from any posture
-            move = PostureMove(
-                before, posture, velocity=limits.velocity, acceleration=limits.acceleration, began=0.0, shortest=0.0, cruise=CRUISE
-            )
+            move = posture_move(limits, before, posture)
             if pose.duration < move.duration - _ROUNDING:
                 what = (
                     f"got {pose.duration:g} s; expected at least {move.duration:.2f} s, as its joints' limits require"

@@ -20,7 +20,7 @@ from valor.control.state import RobotState
 from valor.motion_manager.locomotion.driver import Driver
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import CRUISE, FILE, KeyPose, Motion, Posture, attitude, load, lying, other
+from valor.robot.get_up_table import FILE, KeyPose, Motion, Posture, attitude, load, lying, other, posture_move
 from valor.robot.mirror import mirrored
 from valor.robot.posture_move import PostureMove
 from valor.robot.sole_balance import SoleBalance
@@ -182,15 +182,7 @@ class GetUp:
         way, pose = self.way, self.way.poses[self._stage]
         again = f", again after {self._failed} failed" if self._failed else ""
         self.progress = f"getting up{again} to {way.to}, {self._stage + 1} of {len(way.poses)}: {pose.name}"
-        self._move = PostureMove(
-            start,
-            way.goals[self._stage],
-            velocity=self._limits.velocity,
-            acceleration=self._limits.acceleration,
-            began=now,
-            shortest=pose.duration,
-            cruise=CRUISE,
-        )
+        self._move = posture_move(self._limits, start, way.goals[self._stage], pose.duration, now)
 
 
 def turning(state: RobotState) -> float:
