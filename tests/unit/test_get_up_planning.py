@@ -106,7 +106,12 @@ def test_balance_brings_the_centre_of_mass_nearer_to_the_middle_of_the_soles(lea
     robot = rollouts("escher")
     start, goal = standing(robot, robot.robot.nominal_posture), robot.robot.nominal_posture.copy()
     goal[[robot.robot.index[name] for name in robot.balance.joints]] += lean
-    motions = [(start, [Target("lean", goal, 0.5, 2.0, balanced)]) for balanced in (False, True)]
+    motions = [
+        (start, [Target("lean", goal, 0.5, 0.5, balanced), Target("wait", goal, 0.1, 1.4, balanced)])
+        for balanced in (False, True)
+    ]
+    for one, together in zip(motions, robot.play(motions), strict=True):  # each alone moves as among others
+        assert all(map(np.array_equal, robot.play([one])[0], together))
     foot = robot.robot.tables.feet.left
     alone, balanced = (
         abs(robot.over_soles(states[-1])[0][0] - 0.5 * (foot.heel + foot.toe)) for states in robot.play(motions)

@@ -121,24 +121,22 @@ class Rollouts:
                 end.append(sum(map(len, parts)))
             commands.append(np.concatenate(parts))
             ends.append(end[1:])
-            balanced = [i for i, target in zip(end, targets, strict=False) if target.balanced]
-            open_loop.append(min(balanced, default=end[-1]))
+            open_loop.append(min((i for i, each in zip(end, targets, strict=False) if each.balanced), default=end[-1]))
         rest = max(len(each) - first for each, first in zip(commands, open_loop, strict=True))
         longest = max(open_loop) + rest
         padded = np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), "edge") for each in commands])
         models, states = [one.mj for one, _ in motions], np.array([one.state for one, _ in motions])
-        out = self._simulate(models, states, padded[:, : max(open_loop)])
-        begun = np.array([states[first - 1] for states, first in zip(out, open_loop, strict=True)])
+        reached = np.concatenate([states[:, None], self._simulate(models, states, padded[:, : max(open_loop)])], axis=1)
+        begun = np.array([each[first] for each, first in zip(reached, open_loop, strict=True)])
         remaining = np.stack([each[first : first + rest] for each, first in zip(padded, open_loop, strict=True)])
+        balanced = self._balance(models, begun, remaining)
         return [
-            [(states[i - 1] if i <= first else later[i - 1 - first]) for i in end]
-            for states, later, first, end in zip(
-                out, self._balance(models, begun, remaining), open_loop, ends, strict=True
-            )
+            [(before[i] if i <= first else later[i - first]) for i in end]
+            for before, later, first, end in zip(reached, balanced, open_loop, ends, strict=True)
         ]
 
     def _balance(self, models: list[mujoco.MjModel], states: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return the states (k, t, ·) under commands (k, t, n) and the balance of Get Up."""
+        """Return the states (k, t + 1, ·), from the first on, under commands (k, t, n) and the balance of Get Up."""
         out, balances = [states[:, None]], [SoleBalance(self.robot, self.balance) for _ in models]
         for i in range(0, commands.shape[1], PERIODS):
             chunk = commands[:, i : i + PERIODS].copy()
@@ -148,7 +146,7 @@ class Rollouts:
                 chunk[k] += position - chunk[k, 0]
             out.append(self._simulate(models, states, chunk))
             states = out[-1][:, -1]
-        return np.concatenate(out[1:] or out, axis=1)
+        return np.concatenate(out, axis=1)
 
     def over_soles(self, state: FloatArray) -> tuple[FloatArray, FloatArray, float, float]:
         """Return the CoM (3,) from between the soles' frames [m], the sum (2,) of their axes, tilt and height.
@@ -199,6 +197,8 @@ class Rollouts:
         return np.array(moved), np.tile(target.goal, (round(target.hold / STEP), 1))
 
     def _simulate(self, models: list[mujoco.MjModel], states: FloatArray, commands: FloatArray) -> FloatArray:
+        if not commands.shape[1]:
+            return states[:, None][:, :0]
         out, _ = self._pool.rollout(models, self._data, initial_state=states, control=commands)
         return np.asarray(out)
 
