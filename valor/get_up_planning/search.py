@@ -294,17 +294,18 @@ class RollOver(Symmetric):
         return [*map(Target, self.names, goals, vector[-count:].tolist(), (0.0, 0.0, 0.3))]
 
     def cost(self, states: Sequence[FloatArray]) -> float:
-        state = states[self._end]
-        forward, _, up = self.rollouts.upwards(state)
-        speed = min(self.rollouts.speed(state), 3.0)
+        forward, _, up = self.rollouts.upwards(states[self._end])
+        speed = min(self.rollouts.speed(states[self._end]), 3.0)
         return float(1.0 + forward + abs(up) + 0.1 * speed + self._rolled(states) - self.succeeded(states))
 
     def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        forward, _, up = self.rollouts.upwards(states[self._end])
-        return bool(forward < -0.85 and abs(up) < 0.5 and self._rolled(states) < 0.2)
+        return self._rolled(states) < 0.2
 
     def _rolled(self, states: Sequence[FloatArray]) -> float:
-        """Return the largest sine of the pelvis' roll, from the end of the motion on."""
+        """Return the largest sine of the pelvis' roll, from the end of the motion on; 1 if that is not on the face."""
+        forward, _, up = self.rollouts.upwards(states[self._end])
+        if forward > -0.85 or abs(up) > 0.5:
+            return 1.0
         return max(abs(self.rollouts.upwards(state)[1]) for state in states[self._end :])
 
 
