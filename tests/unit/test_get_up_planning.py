@@ -10,21 +10,12 @@ import pytest
 
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
+from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, RollOver, Squat, StandUp
 from valor.get_up_planning.plan import ONWARD, shortened, table
 from valor.get_up_planning.rollouts import HEADING, Fallen, Rollouts, Target
-from valor.get_up_planning.search import (
-    STARTS,
-    NoMotionFoundError,
-    OnFeet,
-    OnHandsAndKnees,
-    RollOver,
-    Search,
-    Squat,
-    StandUp,
-    find,
-)
+from valor.get_up_planning.search import STARTS, NoMotionFoundError, Search, find
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import FILE, Posture, load
+from valor.robot.get_up_table import FILE, Posture, goals, load
 
 
 @cache
@@ -76,7 +67,7 @@ def test_a_robot_that_rolled_over_draws_up_its_hips_without_an_arm_below_it(name
     over = RollOver(robot, motion(robot.robot, Posture.FACE)[:ONWARD])
     roll = motion(robot.robot, Posture.BACK)
     lying = [fall for fall in robot.fallen(range(20, 24)) if fall.way in over.start]
-    results = over.play(roll, lying)
+    results = over.play([(fall, roll) for fall in lying])
     assert [over.succeeded(states) for states in results].count(True) >= len(lying) - 1
     assert not over.succeeded([results[0][0]] * len(results[0]))
 
@@ -85,12 +76,10 @@ def motion(robot: RobotDescription, start: Posture) -> list[Target]:
     table = load(robot)
     assert table is not None
     (poses,) = [motion.poses for motion in table.motions if start in motion.start]
-    goal, targets = robot.nominal_posture, list[Target]()
-    for pose in poses:
-        goal = goal.copy()
-        goal[[robot.index[joint] for joint in pose.joints]] = list(pose.joints.values())
-        targets.append(Target(pose.name, goal, pose.duration, pose.hold, pose.balanced))
-    return targets
+    return [
+        Target(pose.name, goal, pose.duration, pose.hold, pose.balanced)
+        for pose, goal in zip(poses, goals(robot, poses), strict=True)
+    ]
 
 
 def test_arms_turn_little_from_overhead_to_the_floor_ahead() -> None:

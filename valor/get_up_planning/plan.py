@@ -6,18 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from valor.common.arrays import FloatArray
+from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, OnKnees, RollOver, Squat, StandUp
 from valor.get_up_planning.rollouts import Fallen, Rollouts, Target
-from valor.get_up_planning.search import (
-    OnFeet,
-    OnHandsAndKnees,
-    OnKnees,
-    Report,
-    RollOver,
-    Search,
-    Squat,
-    StandUp,
-    find,
-)
+from valor.get_up_planning.search import Report, Search, find
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import Posture, attitude
 
@@ -48,7 +39,9 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
         starts = [fall for fall in others if fall.way in start]
 
         def count(poses: Sequence[Target], first: int) -> int:
-            return [search.succeeded(states) for states in search.play(poses, starts[:first])].count(True)
+            return [
+                search.succeeded(states) for states in search.play([(fall, poses) for fall in starts[:first]])
+            ].count(True)
 
         return shortened(poses, count, report)
 
@@ -59,7 +52,7 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
         part = find(search, starts, seed, report)
         starts = [
             Fallen(start.mj, states[-1], part[-1].goal, None)
-            for start, states in zip(starts, search.play(part, starts), strict=True)
+            for start, states in zip(starts, search.play([(start, part) for start in starts]), strict=True)
             if search.succeeded(states)
         ]
         rise += part

@@ -127,9 +127,9 @@ class Rollouts:
         padded = np.stack([np.pad(each, ((0, longest - len(each)), (0, 0)), "edge") for each in commands])
         models, states = [one.mj for one, _ in motions], np.array([one.state for one, _ in motions])
         reached = np.concatenate([states[:, None], self._simulate(models, states, padded[:, : max(open_loop)])], axis=1)
-        begun = np.array([each[first] for each, first in zip(reached, open_loop, strict=True)])
+        started = np.array([each[first] for each, first in zip(reached, open_loop, strict=True)])
         remaining = np.stack([each[first : first + rest] for each, first in zip(padded, open_loop, strict=True)])
-        balanced = self._balance(models, begun, remaining)
+        balanced = self._balance(models, started, remaining)
         return [
             [(before[i] if i <= first else later[i - first]) for i in end]
             for before, later, first, end in zip(reached, balanced, open_loop, ends, strict=True)

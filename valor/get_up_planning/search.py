@@ -6,10 +6,7 @@ those from which it fails join the search.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from valor.common.arrays import FloatArray
@@ -17,9 +14,6 @@ from valor.common.behaviors import LEGS
 from valor.common.errors import ValorError
 from valor.get_up_planning.rollouts import Fallen, Rollouts, Target
 from valor.robot.get_up_table import Posture
-from valor.robot.mirror import counterparts, mirrored
-from valor.robot.tables import SIDES
-from valor.robot_setup.posture import Chain, Poser
 
 POPULATION, ELITE, KEPT = 24, 6, 0.3  # candidates, those that count, weight of the mean before
 ITERATIONS, LATER = 40, 6  # of a search, and after its motion failed
@@ -27,60 +21,8 @@ ROUNDS = 6  # searches, at most
 STARTS = 6  # falls of the first search; the others check its motion
 PASSED = 0.9  # least share of the checks
 TIME = 0.1  # cost of a motion's duration [1/s]
-BALANCED = -0.5  # cost of a robot on its soles, at most
 SETTLED, WAITED = 0.02, 5  # a search ends if it improves less in iterations
 SLOWEST = (0.2, 1.5)  # of a motion to a key pose [s]
-REACHES = {  # of the hands from the shoulders: forward, outward, up, in lengths of the arm
-    "free the arms": (0.3, 0.6, 0.4),
-    "tuck": (0.65, 0.3, 0.5),
-    "push up": (0.9, 0.2, -0.2),
-    "squat": (0.8, 0.15, -0.2),
-}
-SPREAD = 0.12  # of joints on the way over the knees [rad]
-ARMS_OUT = (-0.1, 0.75, -0.35)  # as REACHES, after rolling over
-DEEP = 0.97  # flexion of the legs in a squat, of the largest
-
-
-class Key(NamedTuple):
-    """Key pose on the way over the knees, from which a search starts, and the pelvis pitch after it.
-
-    Flexion of hip, knee and ankle, at most DEEP, roll of the hips outward, pitch [rad]; reach as REACHES; duration [s].
-    """
-
-    name: str
-    pitch: float
-    hip: float
-    knee: float
-    ankle: float
-    apart: float
-    reach: tuple[float, float, float]
-    duration: float
-    turned: bool = False  # the arms, as overhead
-
-
-FOLDED = 2.6  # flexion of the knees of a robot that squats from the floor, at least [rad]
-ON_HANDS_AND_KNEES = (
-    Key("hips up", 2.2, 2.05, 1.2, 0.8, 0.0, (0.1, 0.97, 0.0), 0.3),
-    Key("turn the arms", 2.2, 2.05, 1.2, 0.8, 0.0, (0.1, 0.97, 0.05), 0.3, turned=True),
-    Key("arms overhead", 2.1, 2.05, 1.7, 0.8, 0.0, (0.3, 0.4, 0.8), 0.3),
-    Key("on all fours", 1.6, 1.9, 9.0, 0.8, 0.1, (0.73, 0.48, 0.29), 0.7),
-    Key("press up", 1.4, 1.86, 9.0, 0.75, 0.0, (0.84, 0.2, 0.13), 0.4),
-    Key("hands back", 1.2, 1.55, 9.0, 0.85, 0.15, (0.79, 0.1, -0.31), 0.5),
-)
-ON_KNEES = (
-    Key("sit back", 1.4, 1.8, 9.0, 0.1, 0.45, (0.71, 0.17, 0.49), 0.5),
-    Key("stretch the feet", 1.15, 2.0, 9.0, -0.42, 0.5, (0.75, 0.0, 0.35), 0.5),
-    Key("hands off", 0.3, 0.9, 9.0, -0.5, 0.7, (-0.08, 0.5, -0.77), 0.6),
-    Key("kneel", 0.0, 0.25, 2.05, -0.4, 0.7, (-0.29, 0.2, -0.81), 0.4),
-)
-ON_FEET = (
-    Key("bend the toes", -0.1, 0.1, 9.0, 9.0, 0.0, (0.55, 0.28, -0.65), 0.5),
-    Key("lean back", -0.8, -0.3, 9.0, 9.0, 0.0, (0.4, 0.28, -0.75), 0.9),
-    Key("onto the toes", -0.7, -0.4, 1.6, 9.0, 0.0, (0.5, 0.28, -0.7), 0.3),
-    Key("knees up", -0.45, 0.05, 1.45, 9.0, 0.0, (0.45, 0.28, -0.7), 0.25),
-    Key("onto the soles", -0.35, 0.0, 1.15, 0.8, 0.0, (0.45, 0.28, -0.7), 0.5),
-    Key("straighten", -0.1, 0.4, 1.05, 0.55, 0.0, (0.5, 0.28, -0.67), 0.6),
-)
 Report = Callable[[str], None]
 
 
@@ -127,15 +69,14 @@ class Search(ABC):
         self.upper = np.concatenate([np.tile(high, poses), np.full(poses, SLOWEST[1])])
         self.mean = np.clip(self.mean, self.lower, self.upper)
 
-    def play(self, poses: Sequence[Target], starts: Sequence[Fallen]) -> list[list[FloatArray]]:
-        """Return the states after each key pose, and those onward, from each start."""
-        return self.rollouts.play([(start, [*poses, *self._onward]) for start in starts])
+    def play(self, motions: Sequence[tuple[Fallen, Sequence[Target]]]) -> list[list[FloatArray]]:
+        """Return the states after each key pose, and those onward, for each motion."""
+        return self.rollouts.play([(start, [*targets, *self._onward]) for start, targets in motions])
 
     def costs(self, vectors: FloatArray, starts: Sequence[Fallen]) -> FloatArray:
         """Return the costs (k, s) of vectors (k, m)."""
         motions = [(start, self.targets(vector)) for vector in vectors for start in starts]
-        results = self.rollouts.play([(start, [*targets, *self._onward]) for start, targets in motions])
-        costs = [self.cost(states) for states in results]
+        costs = [self.cost(states) for states in self.play(motions)]
         times = [TIME * self.rollouts.duration(start.posture, targets) for start, targets in motions]
         return (np.array(costs) + times).reshape(len(vectors), len(starts))
 
@@ -151,7 +92,7 @@ def find(search: Search, falls: Sequence[Fallen], seed: int, report: Report) -> 
     for round_ in range(ROUNDS):
         best = _optimised(search, best, starts, rng, iterations=LATER if round_ else ITERATIONS, report=report)
         targets = search.targets(best)
-        results = search.play(targets, checks)
+        results = search.play([(fall, targets) for fall in checks])
         failed = [fall for fall, states in zip(checks, results, strict=True) if not search.succeeded(states)]
         report(f"{search.to}: succeeds from {len(checks) - len(failed)} of {len(checks)} falls")
         if len(failed) <= (1.0 - PASSED) * len(checks):
@@ -193,253 +134,3 @@ def _optimised(
         if len(history) > waited and history[-1 - waited] - least < SETTLED:
             break
     return best
-
-
-class Symmetric(Search):
-    """Motion through postures with both sides alike, to a stance on both soles."""
-
-    def __init__(self, rollouts: Rollouts, onward: Sequence[Target] = ()) -> None:
-        super().__init__(rollouts, onward)
-        robot, self._stance = self.robot, rollouts.stance
-        self._right = [robot.index[name] for limb in ("leg", "arm") for name in robot.tables.group(f"right_{limb}")]
-        self._pitch = [robot.index[name] for name in self._stance.pitch_joints("left")]
-        self.knee = self._pitch[1]
-        axes = [self._stance.data.joint(robot.joints[i]).xaxis @ self._stance.base[1][:, 1] for i in self._pitch]
-        self._signs = np.sign(axes) * (-1.0, 1.0, -1.0)  # of flexion
-        self._deepest = DEEP * np.max(self._signs * (robot.lower[self._pitch], robot.upper[self._pitch]), axis=0)
-        self.folds = self._deepest[1] > FOLDED
-        self._standing = self._signs * robot.nominal_posture[self._pitch]
-        self._ahead = self._posed(self._standing, REACHES["squat"])  # the arms
-        self._leg = self._stance.mean_leg_length
-
-    def cost(self, states: Sequence[FloatArray]) -> float:
-        return self._off(states[-1])
-
-    def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self._off(states[-1]) < BALANCED
-
-    def upright(self, state: FloatArray) -> bool:
-        """Return whether the robot stands."""
-        height = state[3] / self.robot.tables.nominal_base_height
-        return bool(height > 0.93) and self._off(state) < BALANCED
-
-    def _off(self, state: FloatArray) -> float:
-        """Return the distance from rest with the CoM above the middle of level soles."""
-        com, forward, tilt, height = self.rollouts.over_soles(state)
-        foot, leg = self._stance.foot("left"), self._leg
-        aside = np.hypot(*(com[:2] - 0.25 * (foot.heel + foot.toe) * forward))
-        speed = min(self.rollouts.speed(state), 3.0)
-        return (
-            float(5.0 * min(tilt, 0.4) + 3.0 * min(height / leg, 0.4) + 5.0 * min(aside / leg, 0.4) + 0.2 * speed) - 1.0
-        )
-
-    def _posed(
-        self, flexion: Sequence[float] | FloatArray, reach: tuple[float, float, float], near: FloatArray | None = None
-    ) -> FloatArray:
-        """Return a posture (n,) by the flexion of hip, knee and ankle [rad] and the reach of the hands.
-
-        ``near``: a posture (n,) with the arms like it.
-        """
-        robot, posture = self.robot, self.robot.nominal_posture.copy()
-        posture[self._pitch] = self._signs * flexion
-        if (arm := robot.tables.group("left_arm")) and (hand := robot.tables.hands.left):
-            rest = dict(zip(robot.joints, robot.nominal_posture.tolist(), strict=True))
-            chain = Chain(tuple(arm), hand.site)
-            like = None if near is None else dict(zip(robot.joints, near.tolist(), strict=True))
-            angles = Poser(self._stance.model.mj).solve_reach(chain, np.array(reach), rest, like)
-            posture[[robot.index[joint] for joint in angles]] = list(angles.values())
-        return self._symmetric(posture)
-
-    def _symmetric(self, postures: FloatArray) -> FloatArray:
-        """Return postures (…, n) with the right side as the mirror image of the left one."""
-        postures[..., self._right] = mirrored(self.robot, postures)[..., self._right]
-        return postures.clip(self.robot.lower, self.robot.upper)
-
-    def _balanced(self, knee: float, ankle: float) -> FloatArray:
-        """Return the flexion of hip, knee and ankle [rad] with the CoM nearest to above the middle of the soles."""
-        model, data, foot = self._stance.model, self._stance.data, self._stance.foot("left")
-        middle, found = 0.5 * (foot.heel + foot.toe), list[tuple[float, float]]()
-        for hip in np.linspace(0.0, self._deepest[0], 60).tolist():
-            posture = self._ahead.copy()
-            posture[self._pitch] = self._signs * (hip, knee, ankle)
-            data.qpos[:] = model.nominal_qpos()
-            data.qpos[model.qpos] = self._symmetric(posture)
-            mujoco.mj_kinematics(model.mj, data)
-            mujoco.mj_comPos(model.mj, data)
-            position, rotation = self._stance.site(foot.sole)
-            found.append((abs(float((self._stance.com - position) @ rotation[:, 0]) - middle), hip))
-        return np.array((min(found)[1], knee, ankle))
-
-
-class RollOver(Symmetric):
-    """Motion from the back or the right side to the face."""
-
-    start, to, names = (Posture.BACK, Posture.RIGHT), Posture.FACE, ("wind up", "roll over", "stretch out")
-
-    def __init__(self, rollouts: Rollouts, onward: Sequence[Target] = ()) -> None:
-        super().__init__(rollouts, onward)
-        self._end = -1 - len(onward)
-        groups = [f"{side}_{limb}" for limb in ("leg", "arm") for side in SIDES]
-        self._moved = self.indices(*groups, "torso")
-        rest, count = self.robot.nominal_posture[self._moved], len(self.names)
-        end = self._posed((0.0, 0.1, 0.5), ARMS_OUT, self.robot.nominal_posture)[self._moved]
-        self.mean = np.concatenate([rest, rest, end, np.full(count, 0.6)])
-        self.bound(self._moved, count)
-        self.spread = np.concatenate([np.full(2 * rest.size, 0.5), np.full(rest.size, 0.2), np.full(count, 0.15)])
-
-    def targets(self, vector: FloatArray) -> list[Target]:
-        count = len(self.names)
-        goals = np.tile(self.robot.nominal_posture, (count, 1))
-        goals[:, self._moved] = vector[:-count].reshape(count, -1)
-        return [*map(Target, self.names, goals, vector[-count:].tolist(), (0.0, 0.0, 0.3))]
-
-    def cost(self, states: Sequence[FloatArray]) -> float:
-        forward, _, up = self.rollouts.upwards(states[self._end])
-        speed = min(self.rollouts.speed(states[self._end]), 3.0)
-        return float(1.0 + forward + abs(up) + 0.1 * speed + self._rolled(states) - self.succeeded(states))
-
-    def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self._rolled(states) < 0.2
-
-    def _rolled(self, states: Sequence[FloatArray]) -> float:
-        """Return the largest sine of the pelvis' roll, from the end of the motion on; 1 if that is not on the face."""
-        forward, _, up = self.rollouts.upwards(states[self._end])
-        if forward > -0.85 or abs(up) > 0.5:
-            return 1.0
-        return max(abs(self.rollouts.upwards(state)[1]) for state in states[self._end :])
-
-
-class Squat(Symmetric):
-    """Motion from the face to a squat."""
-
-    start, to = (Posture.FACE,), "squat"
-
-    def __init__(self, rollouts: Rollouts) -> None:
-        super().__init__(rollouts)
-        counterpart, sign = counterparts(self.robot)
-        middle = [i for i in self.indices("torso") if counterpart[i] == i and sign[i] > 0.0]
-        self._moved = [*self.indices("left_leg")[:-1], *self.indices("left_arm"), *middle]
-        _, knee, ankle = self._deepest
-        legs = ((0.1, 0.3, ankle), self._deepest, self._deepest, self._balanced(knee, ankle))
-        poses = [self._posed(*each) for each in zip(legs, REACHES.values(), strict=True)]
-        self.mean = np.concatenate([*(pose[self._moved] for pose in poses), (0.6, 0.6, 0.5, 0.4)])
-        self.bound(self._moved, len(REACHES))
-        self.spread = np.full(self.mean.size, 0.25)
-        self.spread[-len(REACHES) :] = 0.1
-
-    def targets(self, vector: FloatArray) -> list[Target]:
-        count = len(REACHES)
-        goals = np.tile(self.robot.nominal_posture, (count, 1))
-        goals[:, self._moved] = vector[:-count].reshape(count, -1)
-        goals, last = self._symmetric(goals), (False,) * (count - 1) + (True,)
-        return [*map(Target, REACHES, goals, vector[-count:].tolist(), (0.0, 0.0, 0.0, 0.3), last)]
-
-
-class StandUp(Symmetric):
-    """Motion from the squat to the nominal posture: the flexion of the legs between."""
-
-    start, to, names = (None,), Posture.STANDING, ("rise", "straighten", "upright")
-
-    def __init__(self, rollouts: Rollouts) -> None:
-        super().__init__(rollouts)
-        ends = self._balanced(*self._deepest[1:]), self._standing
-        between = [ends[0] + share * (ends[1] - ends[0]) for share in (0.33, 0.67)]
-        self._poses = np.tile(self._ahead, (len(between), 1))
-        self.mean = np.concatenate([*(self._balanced(*flexion[1:]) for flexion in between), (0.5, 0.5, 0.5)])
-        self.lower = np.concatenate([np.tile(self._deepest - 2.5, 2), np.full(3, 0.3)])
-        self.upper = np.concatenate([np.tile(self._deepest, 2), np.full(3, 1.5)])
-        self.spread = np.concatenate([np.full(6, 0.15), np.full(3, 0.1)])
-
-    def targets(self, vector: FloatArray) -> list[Target]:
-        self._poses[:, self._pitch] = self._signs * vector[:6].reshape(2, 3)
-        goals = [*self._symmetric(self._poses), self.robot.nominal_posture]
-        return [*map(Target, self.names, goals, vector[6:].tolist(), (0.0, 0.0, 0.5), (True,) * 3)]
-
-    def cost(self, states: Sequence[FloatArray]) -> float:
-        upright = 1.0 - self.rollouts.upwards(states[-1])[2]
-        return float(np.mean([self._off(state) for state in states]) + 5.0 * upright)
-
-    def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self.upright(states[-1])
-
-
-class OverKnees(Symmetric):
-    """Part of the symmetric way from the face over the knees to standing."""
-
-    keys: tuple[Key, ...]
-    hold = 0.3  # after the last key pose [s]
-
-    def __init__(self, rollouts: Rollouts) -> None:
-        super().__init__(rollouts)
-        robot, count = self.robot, len(self.keys)
-        overhead = self._posed(self._standing, (0.2, 0.3, 0.93))
-        goals = list[FloatArray]()
-        for key in self.keys:
-            near = overhead if key.turned else goals[-1] if goals else None
-            goals.append(self._posed(np.minimum((key.hip, key.knee, key.ankle), self._deepest), key.reach, near))
-        self._goals = np.array(goals)
-        self._moved = [*self.indices("left_leg")[:-1], *self.indices("left_arm")]
-        axes, forward = (
-            [self._stance.data.joint(robot.joints[i]).xaxis for i in self._moved[:3]],
-            self._stance.base[1][:, 0],
-        )
-        outward, roll = max(
-            ((axis @ forward, i) for axis, i in zip(axes, self._moved, strict=False)), key=lambda x: abs(x[0])
-        )
-        self._goals[:, roll] += [np.sign(outward) * key.apart for key in self.keys]
-        self.mean = np.concatenate([*self._goals[:, self._moved], [key.duration for key in self.keys]])
-        self.bound(self._moved, count)
-        self.spread = np.concatenate([np.full(count * len(self._moved), SPREAD), np.full(count, 0.1)])
-
-    def targets(self, vector: FloatArray) -> list[Target]:
-        count, goals = len(self.keys), self._goals.copy()
-        goals[:, self._moved] = vector[:-count].reshape(count, -1)
-        names, holds = [key.name for key in self.keys], [0.0] * (count - 1) + [self.hold]
-        return [*map(Target, names, self._symmetric(goals), vector[-count:].tolist(), holds)]
-
-    def cost(self, states: Sequence[FloatArray]) -> float:
-        off = [min(self._aside(state, key.pitch), 1.5) for state, key in zip(states, self.keys, strict=False)]
-        return sum(off) + off[-1] + 0.2 * min(self.rollouts.speed(states[-1]), 3.0) - self.succeeded(states)
-
-    def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self._aside(states[-1], self.keys[-1].pitch) < 0.25 and self.rollouts.speed(states[-1]) < 1.0
-
-    def _aside(self, state: FloatArray, pitch: float) -> float:
-        """Return the angle of the pelvis from one without roll and of that pitch [rad]."""
-        forward, left, up = self.rollouts.upwards(state)
-        return float(np.hypot((np.arctan2(-forward, up) - pitch + np.pi) % (2.0 * np.pi) - np.pi, left))
-
-
-class OnHandsAndKnees(OverKnees):
-    """Motion from the face to hands and knees."""
-
-    start, to, keys, hold = (Posture.FACE,), "hands and knees", ON_HANDS_AND_KNEES, 0.0
-
-
-class OnKnees(OverKnees):
-    """Motion from hands and knees to the knees."""
-
-    start, to, keys = (None,), "the knees", ON_KNEES
-
-
-class OnFeet(OverKnees):
-    """Motion from the knees over the toes to the nominal posture."""
-
-    start, to, keys, hold = (None,), Posture.STANDING, ON_FEET, 0.5
-
-    def __init__(self, rollouts: Rollouts) -> None:
-        super().__init__(rollouts)
-        self.mean, self.spread = np.append(self.mean, 0.6), np.append(self.spread, 0.1)  # of the last motion's duration
-        self.lower, self.upper = np.append(self.lower, SLOWEST[0]), np.append(self.upper, SLOWEST[1])
-
-    def targets(self, vector: FloatArray) -> list[Target]:
-        *poses, last = super().targets(vector[:-1])
-        poses += replace(last, hold=0.0), Target("upright", self.robot.nominal_posture, float(vector[-1]), self.hold)
-        return [replace(each, balanced=i >= len(poses) - 3) for i, each in enumerate(poses)]
-
-    def cost(self, states: Sequence[FloatArray]) -> float:
-        upright = 1.0 - self.rollouts.upwards(states[-1])[2]
-        return super().cost(states) + self._off(states[-1]) + 5.0 * upright
-
-    def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self.upright(states[-1])

@@ -103,6 +103,16 @@ class GetUpTable(Table):
     motions: Annotated[list[Motion], Meta(min_length=1)]
 
 
+def goals(robot: RobotDescription, poses: Iterable[KeyPose]) -> list[FloatArray]:
+    """Return the joint positions (n,) of each key pose [rad], from the nominal posture on."""
+    posture, found = robot.nominal_posture, list[FloatArray]()
+    for pose in poses:
+        posture = posture.copy()
+        posture[[robot.index[name] for name in pose.joints]] = list(pose.joints.values())
+        found.append(posture)
+    return found
+
+
 def posture_move(
     limits: CommandedLimits, start: FloatArray, goal: FloatArray, shortest: float = 0.0, began: float = 0.0
 ) -> PostureMove:

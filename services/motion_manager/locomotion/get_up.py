@@ -20,7 +20,7 @@ from valor.control.state import RobotState
 from valor.motion_manager.locomotion.driver import Driver
 from valor.robot.commanded_limits import CommandedLimits
 from valor.robot.description import RobotDescription
-from valor.robot.get_up_table import FILE, KeyPose, Motion, Posture, attitude, load, lying, other, posture_move
+from valor.robot.get_up_table import FILE, KeyPose, Motion, Posture, attitude, goals, load, lying, other, posture_move
 from valor.robot.mirror import mirrored
 from valor.robot.posture_move import PostureMove
 from valor.robot.sole_balance import SoleBalance
@@ -65,13 +65,8 @@ class GetUp:
         self.done = False  # whether the last key pose is reached
 
     def _add(self, motion: Motion) -> None:
-        posture, goals = self._robot.nominal_posture, list[FloatArray]()
-        for pose in motion.poses:
-            posture = posture.copy()
-            posture[[self._robot.index[name] for name in pose.joints]] = list(pose.joints.values())
-            goals.append(posture)
-        way = Way(motion.to, motion.poses, goals)
-        image = Way(other(motion.to), motion.poses, [mirrored(self._robot, goal) for goal in goals])
+        way = Way(motion.to, motion.poses, goals(self._robot, motion.poses))
+        image = Way(other(motion.to), motion.poses, [mirrored(self._robot, goal) for goal in way.goals])
         for start in motion.start:
             if other(start) is start:
                 self.ways[start] = replace(way, other_side=image)
