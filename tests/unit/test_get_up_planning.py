@@ -10,10 +10,10 @@ import pytest
 
 from harness.places import ROBOTS
 from valor.common.arrays import FloatArray
-from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, RollOver, Squat, StandUp
+from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, RollOver, Squat, StandUp, Throw
 from valor.get_up_planning.plan import ONWARD, shortened, table
 from valor.get_up_planning.rollouts import HEADING, Fallen, Rollouts, Target
-from valor.get_up_planning.search import STARTS, NoMotionFoundError, Search, find
+from valor.get_up_planning.search import STARTS, NoMotionFoundError, Search, find, tuned
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import FILE, Posture, goals, load
 
@@ -55,9 +55,11 @@ def test_a_robot_gets_up_over_its_knees_as_its_table_says(name: str) -> None:
     robot = rollouts(name)
     assert not Squat(robot).folds
     rise, search = motion(robot.robot, Posture.FACE), OnFeet(robot)
-    lying = [fall for fall in robot.fallen(range(20, 24)) if fall.way is Posture.FACE]
+    lying = [fall for fall in robot.fallen(range(20, 26)) if fall.way is Posture.FACE]
     results = robot.play([(fall, rise) for fall in lying])
     assert [search.succeeded(states) for states in results].count(True) >= len(lying) - 1
+    varied = [search.succeeded(states) for states in robot.play([(fall, rise) for fall in robot.varied(lying)])]
+    assert varied.count(True) >= 0.5 * len(lying)
     assert not search.succeeded(results[0][:-3])
 
 
@@ -110,15 +112,46 @@ def test_balance_brings_the_centre_of_mass_nearer_to_the_middle_of_the_soles(lea
 
 def test_a_motion_is_shortened_to_what_it_needs() -> None:
     goal, reports = np.zeros(1), list[str]()
-    poses = [Target(name, goal, 2.0, 1.0) for name in ("idle", "slow", "last")]
+    poses = [Target(name, goal, 2.0, 1.0) for name in ("idle", "slow", "stiff", "last")]
 
     def count(poses: Sequence[Target], falls: int) -> int:
         slow = [pose for pose in poses if pose.name == "slow"]
-        return falls if slow and slow[0].duration >= 1.0 and poses[-1].name == "last" else falls - 1
+        complete = "stiff" in [pose.name for pose in poses] and poses[-1].name == "last"
+        return falls if slow and slow[0].duration >= 1.0 and complete else falls - 1
 
-    short = shortened(poses, count, reports.append)
-    assert [(pose.name, pose.duration) for pose in short] == [("slow", 1.0), ("last", 0.75)]
+    def duration(poses: Sequence[Target]) -> float:
+        return sum(max(pose.duration, 2.0 if pose.name == "stiff" else 0.0) for pose in poses)
+
+    short = shortened(poses, count, duration, reports.append)
+    assert [(pose.name, pose.duration) for pose in short] == [("slow", 1.0), ("stiff", 2.0), ("last", 0.75)]
     assert reports[0] == "idle: left out" and "slow: 50% shorter" in reports
+
+
+def test_a_throw_is_changed_alike_on_both_sides_but_for_its_end() -> None:
+    robot = rollouts("escher")
+    part = motion(robot.robot, Posture.FACE)[-4:]
+    throw = Throw(robot, part)
+    for same, pose in zip(throw.targets(throw.mean), part, strict=True):
+        assert np.allclose(same.goal, pose.goal) and same.duration == pose.duration
+    flexed = throw.targets(np.repeat((0.1, -0.2, 0.5), len(part)))
+    joints = [robot.robot.index[f"{side}_{joint}_pitch"] for side in "lr" for joint in ("hip", "knee")]
+    for pose, before in zip(flexed[:-1], part, strict=False):
+        assert np.allclose((pose.goal - before.goal)[joints], (-0.1, -0.2, -0.1, -0.2), atol=1e-6)
+        assert pose.duration == pytest.approx(1.5 * before.duration) and pose.balanced == before.balanced
+    assert np.allclose(flexed[-1].goal, robot.robot.nominal_posture, atol=1e-3) and flexed[-1].hold == part[-1].hold
+
+
+def test_varied_falls_have_other_friction_and_damping() -> None:
+    robot = rollouts("escher")
+    falls = [Fallen(robot.model.mj, np.zeros(1), np.zeros(1), None)] * 2
+    one, other = (fall.mj for fall in robot.varied(falls))
+    for name in ("geom_friction", "dof_frictionloss", "actuator_biasprm"):
+        nominal = getattr(robot.model.mj, name)
+        ratios = [getattr(mj, name)[nominal != 0.0] / nominal[nominal != 0.0] for mj in (one, other)]
+        assert all(((ratio >= 0.75) & (ratio <= 1.25)).all() for ratio in ratios)
+        assert not np.allclose(*ratios) and not np.allclose(ratios[0], 1.0)
+    assert (one.actuator_biasprm[:, 1] == robot.model.mj.actuator_biasprm[:, 1]).all()
+    assert (one.body_mass == robot.model.mj.body_mass).all()
 
 
 def test_a_robot_falls_limp_to_every_side_and_holds_what_it_is_given() -> None:
@@ -160,6 +193,8 @@ def test_a_search_finds_what_there_is_or_gives_up_with_the_reason(monkeypatch: p
     if near > 0.0:
         (target,) = find(Reach(near), falls, 0, reports.append)
         assert np.abs(target.goal - 1.0).max() < 0.3 and "succeeds from 2 of 2 falls" in reports[-1]
+        (target,) = tuned(Reach(near), falls, 0, reports.append)
+        assert np.abs(target.goal - 1.0).max() < 0.3
     else:
         with pytest.raises(
             NoMotionFoundError, match="escher: the best motion found to a point succeeds from 0 of 2 falls"

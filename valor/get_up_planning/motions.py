@@ -24,6 +24,7 @@ REACHES = {  # of the hands from the shoulders: forward, outward, up, in lengths
 }
 SPREAD = 0.12  # of joints on the way over the knees [rad]
 ARMS_OUT = (-0.1, 0.75, -0.35)  # as REACHES, after rolling over
+CHANGE = 0.3  # of flexion [rad] and of durations [1] while a motion is tuned, at most
 DEEP = 0.97  # flexion of the legs in a squat, of the largest
 
 
@@ -310,6 +311,35 @@ class OnFeet(OverKnees):
     def cost(self, states: Sequence[FloatArray]) -> float:
         upright = 1.0 - self.rollouts.upwards(states[-1])[2]
         return super().cost(states) + self._off(states[-1]) + 5.0 * upright
+
+    def succeeded(self, states: Sequence[FloatArray]) -> bool:
+        return self.upright(states[-1])
+
+
+class Throw(Symmetric):
+    """Given motion from the knees to standing, to be changed a little: it is narrow, and its ground and robot vary."""
+
+    start, to = (None,), f"{Posture.STANDING} from many falls"
+
+    def __init__(self, rollouts: Rollouts, poses: Sequence[Target]) -> None:
+        super().__init__(rollouts)
+        self._poses, count = poses, len(poses)
+        self.mean = np.zeros(3 * count)  # flexion of the hips and of the knees [rad], durations [1]
+        self.spread = np.repeat((0.05, 0.05, 0.1), count)
+        self.lower, self.upper = self.mean - CHANGE, self.mean + CHANGE
+
+    def targets(self, vector: FloatArray) -> list[Target]:
+        *flexions, longer = vector.reshape(3, -1)
+        goals = np.array([pose.goal for pose in self._poses])
+        goals[:-1, self._pitch[:2]] += self._signs[:2] * np.transpose(flexions)[:-1]  # the last is the nominal posture
+        return [
+            replace(pose, goal=goal, duration=pose.duration * (1.0 + more))
+            for pose, goal, more in zip(self._poses, self._symmetric(goals), longer.tolist(), strict=True)
+        ]
+
+    def cost(self, states: Sequence[FloatArray]) -> float:
+        tilt = 1.0 - self.rollouts.upwards(states[-1])[2]
+        return 0.1 * self._off(states[-1]) + 0.5 * min(tilt, 1.0) - 0.5 * self.succeeded(states)
 
     def succeeded(self, states: Sequence[FloatArray]) -> bool:
         return self.upright(states[-1])

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from valor.common.arrays import FloatArray
-from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, OnKnees, RollOver, Squat, StandUp
+from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, OnKnees, RollOver, Squat, StandUp, Throw
 from valor.get_up_planning.rollouts import Fallen, Rollouts, Target
-from valor.get_up_planning.search import Report, Search, find
+from valor.get_up_planning.search import Report, Search, find, tuned
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import Posture, attitude
 
@@ -33,7 +34,7 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
     Raises ``NoMotionFoundError``.
     """
     rollouts = Rollouts(robot)
-    falls, others = rollouts.fallen(range(FALLS)), rollouts.fallen(range(FALLS, 3 * FALLS))
+    falls, others = rollouts.fallen(range(FALLS)), rollouts.varied(rollouts.fallen(range(FALLS, 3 * FALLS)))
 
     def shorter(poses: Sequence[Target], start: Sequence[Posture | None], search: Search) -> list[Target]:
         starts = [fall for fall in others if fall.way in start]
@@ -43,18 +44,16 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
                 search.succeeded(states) for states in search.play([(fall, poses) for fall in starts[:first]])
             ].count(True)
 
-        return shortened(poses, count, report)
+        return shortened(poses, count, partial(rollouts.duration, poses[0].goal), report)
 
-    lying = starts = [fall for fall in falls if fall.way is Posture.FACE]
-    rise = list[Target]()
+    lying, varied = ([fall for fall in each if fall.way is Posture.FACE] for each in (falls, others))
+    starts, rise = lying, list[Target]()
     for kind in (Squat, StandUp) if Squat(rollouts).folds else (OnHandsAndKnees, OnKnees, OnFeet):
         search = kind(rollouts)
         part = find(search, starts, seed, report)
-        starts = [
-            Fallen(start.mj, states[-1], part[-1].goal, None)
-            for start, states in zip(starts, search.play([(start, part) for start in starts]), strict=True)
-            if search.succeeded(states)
-        ]
+        if kind is OnFeet:
+            part = tuned(Throw(rollouts, part), varied[: CHECKED[-1]], seed, report)
+        starts, varied = (_after(search, each, part) for each in (starts, varied))
         rise += part
     rise = shorter(rise, (Posture.FACE,), search)
     over = RollOver(rollouts, rise[:ONWARD])
@@ -62,10 +61,24 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
     return table(rollouts, lying, rise, roll)
 
 
-def shortened(poses: Sequence[Target], count: Callable[[Sequence[Target], int], int], report: Report) -> list[Target]:
+def _after(search: Search, starts: Sequence[Fallen], part: Sequence[Target]) -> list[Fallen]:
+    """Return the robots for which a part of a motion succeeds, after it."""
+    return [
+        Fallen(start.mj, states[-1], part[-1].goal, None)
+        for start, states in zip(starts, search.play([(start, part) for start in starts]), strict=True)
+        if search.succeeded(states)
+    ]
+
+
+def shortened(
+    poses: Sequence[Target],
+    count: Callable[[Sequence[Target], int], int],
+    duration: Callable[[Sequence[Target]], float],
+    report: Report,
+) -> list[Target]:
     """Return a motion's key poses without those, and with less time for those, without which it succeeds as often.
 
-    ``count`` returns how often a motion succeeds from the first falls, so many.
+    ``count`` returns how often a motion succeeds from the first falls, so many; ``duration``: of its moves [s].
     """
     poses, least = list(poses), [count(poses, falls) for falls in CHECKED]
     for share in SHORTER:
@@ -74,7 +87,8 @@ def shortened(poses: Sequence[Target], count: Callable[[Sequence[Target], int], 
             pose = poses[i]
             shorter = replace(pose, duration=max(share * pose.duration, SHORTEST))
             tried = [*poses[:i], *([shorter] if share else []), *poses[i + 1 :]]
-            if all(count(tried, falls) >= known for falls, known in zip(CHECKED, least, strict=True)):
+            useful = not share or duration(tried) < duration(poses)  # limits of the joints may not permit it
+            if useful and all(count(tried, falls) >= known for falls, known in zip(CHECKED, least, strict=True)):
                 poses = tried
                 report(f"{pose.name}: {f'{1.0 - share:.0%} shorter' if share else 'left out'}")
                 i += share > 0.0

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -29,6 +29,7 @@ PROFILE = "hardware"  # of actuators, if robot.yaml has it: friction and errors 
 PERIODS = 3  # of the physics in one of the balance
 GAIN, LIMIT = 2.0, 0.3  # of the balance with ESCHER's legs [rad/m]; angle [rad]
 MARGIN = 2.0  # of the masses' errors
+VARIED = (0.75, 1.25)  # factors of friction and of servos' damping
 LIMP = 0.02  # damping of a limp joint, relative to its servo's
 HEADING = {Posture.FACE: 0.0, Posture.LEFT: 0.5, Posture.BACK: 1.0, Posture.RIGHT: 1.5}  # of a fall [half turns]
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -109,6 +110,17 @@ class Rollouts:
             Fallen(own, state, self.joints(state), lying(self.upwards(state)))
             for own, state in zip(models, out, strict=True)
         ]
+
+    def varied(self, falls: Iterable[Fallen]) -> list[Fallen]:
+        """Return falls with other friction of ground and joints and other damping of servos."""
+        found = list[Fallen]()
+        for seed, fall in enumerate(falls):
+            (ground, joints, damping), own = np.random.default_rng(seed).uniform(*VARIED, 3), copy.copy(fall.mj)
+            own.geom_friction[:] *= ground
+            own.dof_frictionloss[:] *= joints
+            own.actuator_biasprm[:, 2] *= damping
+            found.append(replace(fall, mj=own))
+        return found
 
     def play(self, motions: Sequence[tuple[Fallen, Sequence[Target]]]) -> list[list[FloatArray]]:
         """Return the states after each key pose's hold, for each motion; it balances from its first such pose on."""

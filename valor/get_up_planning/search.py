@@ -17,6 +17,7 @@ from valor.robot.get_up_table import Posture
 
 POPULATION, ELITE, KEPT = 24, 6, 0.3  # candidates, those that count, weight of the mean before
 ITERATIONS, LATER = 40, 6  # of a search, and after its motion failed
+TUNING = 12  # iterations from many starts
 ROUNDS = 6  # searches, at most
 STARTS = 6  # falls of the first search; the others check its motion
 PASSED = 0.9  # least share of the checks
@@ -104,6 +105,12 @@ def find(search: Search, falls: Sequence[Fallen], seed: int, report: Report) -> 
     )
 
 
+def tuned(search: Search, starts: Sequence[Fallen], seed: int, report: Report) -> list[Target]:
+    """Return the key poses that do best from many starts."""
+    rng = np.random.default_rng(seed)
+    return search.targets(_optimised(search, search.mean, starts, rng, iterations=TUNING, report=report))
+
+
 def _optimised(
     search: Search,
     mean: FloatArray,
@@ -114,12 +121,12 @@ def _optimised(
     report: Report,
 ) -> FloatArray:
     """Return the best vector; the more expensive half of each population starts only once."""
-    spread = search.spread * (1.0 if iterations == ITERATIONS else 0.4)
+    spread = search.spread * (0.4 if iterations == LATER else 1.0)
     best, least, history = mean, np.inf, list[float]()
     for iteration in range(iterations):
         vectors = rng.normal(mean, spread, (POPULATION, mean.size)).clip(search.lower, search.upper)
         vectors[:2] = mean, best
-        costs = search.costs(vectors, starts[:1])[:, 0]
+        costs = search.costs(vectors, starts[: -(-len(starts) // STARTS)]).mean(1)
         vectors = vectors[costs.argsort()[: POPULATION // 2]]
         every = search.costs(vectors, starts)
         order = (costs := every.mean(1) + 0.3 * every.max(1)).argsort()

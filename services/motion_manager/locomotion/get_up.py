@@ -79,8 +79,6 @@ class GetUp:
         if self._table is None:
             name = self._robot.name
             return f"getting up is not available: {name} has no {FILE}; `valorctl robot get-up {name}` makes it"
-        if (rate := turning(state)) > AT_REST:
-            return f"the robot does not lie still: the pelvis rotates at {rate:.1f} rad/s; expected at most {AT_REST}"
         return self._no_way(state)
 
     def _no_way(self, state: RobotState) -> str:
@@ -95,14 +93,21 @@ class GetUp:
         )
 
     def begin(self, state: RobotState, now: float) -> None:
-        """Start with the motion for how the robot lies."""
-        self.failure, self.trouble, self.done, self._failed, self._before = "", "", False, 0, None
-        self._look(state, now)
+        """Start with the motion for how the robot lies, once it is at rest."""
+        self.failure, self._failed, self._before = "", 0, None
+        if (rate := turning(state)) > AT_REST:
+            self._come_to_rest(f"the pelvis rotates at {rate:.1f} rad/s; expected at most {AT_REST}", now)
+        else:
+            self.trouble, self.done = "", False
+            self._look(state, now)
 
     def abandon(self, why: str, now: float) -> None:
         """Abandon the motion, and try again from where the robot comes to rest."""
-        self.done, self.way, self._since, self._still, self.trouble = False, None, now, now, why
         self._failed += 1
+        self._come_to_rest(why, now)
+
+    def _come_to_rest(self, why: str, now: float) -> None:
+        self.done, self.way, self._since, self._still, self.trouble = False, None, now, now, why
         self.progress = f"getting up, coming to rest: {why}"
 
     def update(self, state: RobotState, now: float) -> None:
