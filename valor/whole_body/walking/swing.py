@@ -15,6 +15,7 @@ from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.control.steps import SolePose
 
+LEAD = 0.02  # Time by which a foot follows later than its reference in the plane, which is ahead of the height's [s]
 FOLLOWING = 0.06  # Time in which a late foot moves to a new foothold [s]
 HURRY = 4.0  # Acceleration of a late foot [m/s²]
 SHORTEST_RISE = 0.01  # Shortest rise to the apex; with less time the foot descends at once [s]
@@ -154,7 +155,8 @@ class SwingTrajectory:
         end = np.empty(6)
         end[:3], end[3:] = target.position, rotation.rotation_vector(target.rotation @ start.T)
         end[2] -= self._depth
-        departs = max(time, min(self._departs, 0.5 * duration))
+        ahead = time + LEAD if time > 0.0 else 0.0
+        departs = max(ahead, min(self._departs, 0.5 * duration))
         arrives = max(departs + SHORTEST_RISE, self._arrives * duration)
         self._start, self._ends = start, duration
         self._horizontal = Quintic(motion, end, departs, arrives - departs)
@@ -169,7 +171,7 @@ class SwingTrajectory:
 
     def _flat(self, time: float) -> FloatArray:
         """(3, 6) motion of the sole without peeling; angles as in ``_plan``."""
-        motion = self._horizontal.at(time)
+        motion = self._horizontal.at(time + LEAD)
         motion[:, 2] = self._vertical.at(time)[:, 0]
         if time > self._ends:
             motion[:, 2] = self._late_at(time - self._ends, motion[0, 2])
