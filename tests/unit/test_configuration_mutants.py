@@ -211,7 +211,7 @@ nothing | description: | # description: | description | missing
 GET_UP = rows(r"""
 a joint that the robot has not | l_hip_pitch | tail | motions.0.poses.0.joints | unknown joint 'tail'
 a knee in degrees | l_knee_pitch: 1.423 | l_knee_pitch: 17 | motions.0.poses.0.joints.l_knee_pitch | got 17 rad
-a pitch from more to less | [96, 158] | [158, 96] | motions.0.poses.0.pitch | got 158 to 96
+a pitch from more to less | [91, 158] | [158, 91] | motions.0.poses.0.pitch | got 158 to 91
 a pose in a millisecond | duration: 1.85 | duration: 0.001 | motions.0.poses.1.duration | >= 0.1 s
 too fast | duration: 1.85 | duration: 0.1 | motions.0.poses.1.duration | at least 1.84
 a motion to where no other starts | to: standing | to: nowhere | motions.0.to | 'nowhere'

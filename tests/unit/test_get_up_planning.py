@@ -112,7 +112,7 @@ def test_balance_brings_the_centre_of_mass_nearer_to_the_middle_of_the_soles(lea
 
 def test_a_motion_is_shortened_to_what_it_needs() -> None:
     goal, reports = np.zeros(1), list[str]()
-    poses = [Target(name, goal, 2.0, 1.0) for name in ("idle", "slow", "stiff", "last")]
+    poses = [Target(name, goal, 2.0, float(name == "rest")) for name in ("idle", "slow", "rest", "stiff", "last")]
 
     def count(poses: Sequence[Target], falls: int) -> int:
         slow = [pose for pose in poses if pose.name == "slow"]
@@ -123,7 +123,8 @@ def test_a_motion_is_shortened_to_what_it_needs() -> None:
         return sum(max(pose.duration, 2.0 if pose.name == "stiff" else 0.0) for pose in poses)
 
     short = shortened(poses, count, duration, reports.append)
-    assert [(pose.name, pose.duration) for pose in short] == [("slow", 1.0), ("stiff", 2.0), ("last", 0.75)]
+    times = [(pose.name, pose.duration) for pose in short]
+    assert times == [("slow", 1.0), ("rest", 2.0), ("stiff", 2.0), ("last", 0.75)]
     assert reports[0] == "idle: left out" and "slow: 50% shorter" in reports
 
 

@@ -58,7 +58,7 @@ ON_KNEES = (
     Key("sit back", 1.4, 1.8, 9.0, 0.1, 0.45, (0.71, 0.17, 0.49), 0.5),
     Key("stretch the feet", 1.15, 2.0, 9.0, -0.42, 0.5, (0.75, 0.0, 0.35), 0.5),
     Key("hands off", 0.3, 0.9, 9.0, -0.5, 0.7, (-0.08, 0.5, -0.77), 0.6),
-    Key("kneel", 0.0, 0.25, 2.05, -0.4, 0.7, (-0.29, 0.2, -0.81), 0.4),
+    Key("kneel", 0.0, 0.25, 2.05, -0.4, 0.7, (-0.29, 0.2, -0.81), 0.7),
 )
 ON_FEET = (
     Key("bend the toes", -0.1, 0.1, 9.0, 9.0, 0.0, (0.55, 0.28, -0.65), 0.5),
@@ -288,9 +288,13 @@ class OnHandsAndKnees(OverKnees):
 
 
 class OnKnees(OverKnees):
-    """Motion from hands and knees to the knees."""
+    """Motion from hands and knees to the knees, without rocking there."""
 
     start, to, keys = (None,), "the knees", ON_KNEES
+
+    def __init__(self, rollouts: Rollouts) -> None:
+        super().__init__(rollouts)
+        self.lower[-1] = self.mean[-1]  # a quicker motion ends in rocking
 
 
 class OnFeet(OverKnees):
@@ -325,7 +329,7 @@ class Throw(Symmetric):
         super().__init__(rollouts)
         self._poses, count = poses, len(poses)
         self.mean = np.zeros(3 * count)  # flexion of the hips and of the knees [rad], durations [1]
-        self.spread = np.repeat((0.05, 0.05, 0.1), count)
+        self.spread = np.repeat((0.12, 0.12, 0.25), count)
         self.lower, self.upper = self.mean - CHANGE, self.mean + CHANGE
 
     def targets(self, vector: FloatArray) -> list[Target]:

@@ -9,7 +9,7 @@ import numpy as np
 from valor.common.arrays import FloatArray
 from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, OnKnees, RollOver, Squat, StandUp, Throw
 from valor.get_up_planning.rollouts import Fallen, Rollouts, Target
-from valor.get_up_planning.search import Report, Search, find, tuned
+from valor.get_up_planning.search import Report, Search, find, tuned, usable
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import Posture, attitude
 
@@ -37,7 +37,7 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
     falls, others = rollouts.fallen(range(FALLS)), rollouts.varied(rollouts.fallen(range(FALLS, 3 * FALLS)))
 
     def shorter(poses: Sequence[Target], start: Sequence[Posture | None], search: Search) -> list[Target]:
-        starts = [fall for fall in others if fall.way in start]
+        starts = usable(others, start)
 
         def count(poses: Sequence[Target], first: int) -> int:
             return [
@@ -46,13 +46,13 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
 
         return shortened(poses, count, partial(rollouts.duration, poses[0].goal), report)
 
-    lying, varied = ([fall for fall in each if fall.way is Posture.FACE] for each in (falls, others))
+    lying, varied = (usable(each, (Posture.FACE,)) for each in (falls, others))
     starts, rise = lying, list[Target]()
     for kind in (Squat, StandUp) if Squat(rollouts).folds else (OnHandsAndKnees, OnKnees, OnFeet):
         search = kind(rollouts)
         part = find(search, starts, seed, report)
         if kind is OnFeet:
-            part = tuned(Throw(rollouts, part), varied[: CHECKED[-1]], seed, report)
+            part = tuned(Throw(rollouts, part), varied, seed, report)
         starts, varied = (_after(search, each, part) for each in (starts, varied))
         rise += part
     rise = shorter(rise, (Posture.FACE,), search)
@@ -87,7 +87,8 @@ def shortened(
             pose = poses[i]
             shorter = replace(pose, duration=max(share * pose.duration, SHORTEST))
             tried = [*poses[:i], *([shorter] if share else []), *poses[i + 1 :]]
-            useful = not share or duration(tried) < duration(poses)  # limits of the joints may not permit it
+            rests = pose.hold > 0.0 and i < len(poses) - 1
+            useful = not rests and (not share or duration(tried) < duration(poses))  # limits of joints may bind
             if useful and all(count(tried, falls) >= known for falls, known in zip(CHECKED, least, strict=True)):
                 poses = tried
                 report(f"{pose.name}: {f'{1.0 - share:.0%} shorter' if share else 'left out'}")

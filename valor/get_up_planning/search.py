@@ -17,7 +17,7 @@ from valor.robot.get_up_table import Posture
 
 POPULATION, ELITE, KEPT = 24, 6, 0.3  # candidates, those that count, weight of the mean before
 ITERATIONS, LATER = 40, 6  # of a search, and after its motion failed
-TUNING = 12  # iterations from many starts
+TUNING, MANY = 12, 32  # iterations from many starts, so many
 ROUNDS = 6  # searches, at most
 STARTS = 6  # falls of the first search; the others check its motion
 PASSED = 0.9  # least share of the checks
@@ -82,13 +82,18 @@ class Search(ABC):
         return (np.array(costs) + times).reshape(len(vectors), len(starts))
 
 
+def usable(falls: Sequence[Fallen], ways: Sequence[Posture | None]) -> list[Fallen]:
+    """Return the falls that ended in one of these ways of lying."""
+    return [fall for fall in falls if fall.way in ways]
+
+
 def find(search: Search, falls: Sequence[Fallen], seed: int, report: Report) -> list[Target]:
     """Return a motion's key poses; raises ``NoMotionFoundError``."""
-    rng, usable = np.random.default_rng(seed), [fall for fall in falls if fall.way in search.start]
-    starts, checks, best = [*usable[:STARTS]], usable[STARTS:], search.mean
+    rng, falls = np.random.default_rng(seed), usable(falls, search.start)
+    starts, checks, best = [*falls[:STARTS]], falls[STARTS:], search.mean
     if not checks:
         raise NoMotionFoundError(
-            f"{search.robot.name}: {len(usable)} falls to search a motion to {search.to}; expected more than {STARTS}"
+            f"{search.robot.name}: {len(falls)} falls to search a motion to {search.to}; expected more than {STARTS}"
         )
     for round_ in range(ROUNDS):
         best = _optimised(search, best, starts, rng, iterations=LATER if round_ else ITERATIONS, report=report)
@@ -106,9 +111,9 @@ def find(search: Search, falls: Sequence[Fallen], seed: int, report: Report) -> 
 
 
 def tuned(search: Search, starts: Sequence[Fallen], seed: int, report: Report) -> list[Target]:
-    """Return the key poses that do best from many starts."""
+    """Return the key poses near the search's mean that do best from many starts."""
     rng = np.random.default_rng(seed)
-    return search.targets(_optimised(search, search.mean, starts, rng, iterations=TUNING, report=report))
+    return search.targets(_optimised(search, search.mean, starts[:MANY], rng, iterations=TUNING, report=report))
 
 
 def _optimised(
@@ -121,7 +126,7 @@ def _optimised(
     report: Report,
 ) -> FloatArray:
     """Return the best vector; the more expensive half of each population starts only once."""
-    spread = search.spread * (0.4 if iterations == LATER else 1.0)
+    spread = search.spread * (1.0 if iterations == ITERATIONS else 0.4)
     best, least, history = mean, np.inf, list[float]()
     for iteration in range(iterations):
         vectors = rng.normal(mean, spread, (POPULATION, mean.size)).clip(search.lower, search.upper)
