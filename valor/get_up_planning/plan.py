@@ -51,7 +51,7 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
     for kind in (Squat, StandUp) if Squat(rollouts).folds else (OnHandsAndKnees, OnKnees, OnFeet):
         search = kind(rollouts)
         part = find(search, starts, seed, report)
-        if kind is OnFeet:
+        if kind is OnFeet and varied:
             part = tuned(Throw(rollouts, part), varied, seed, report)
         starts, varied = (_after(search, each, part) for each in (starts, varied))
         rise += part

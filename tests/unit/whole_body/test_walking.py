@@ -160,7 +160,7 @@ def test_a_peeling_swing_has_its_derivatives_and_is_retargeted_without_a_jump(ti
 
 
 @given(
-    st.floats(0.02, 0.55), st.floats(0.05, 0.5), places, places, st.floats(-0.5, 0.5), st.floats(0.0, 0.1)
+    st.floats(0.0, 0.55), st.floats(0.05, 0.5), places, places, st.floats(-0.5, 0.5), st.floats(0.0, 0.1)
 )  # fmt: skip
 def test_a_retargeted_swing_does_not_jump(time: float, left: float, x: float, y: float, yaw: float, z: float) -> None:
     swing = swing_to(0.0)

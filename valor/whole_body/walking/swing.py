@@ -141,22 +141,31 @@ class SwingTrajectory:
             stretch = (duration - time) / left
             self._apex_time = time + (self._apex_time - time) * stretch
             self._peaks = time + (self._peaks - time) * stretch
-        self._plan(motion, peel, start, target, (time, duration))
+        self._plan(motion, peel, start, target, (time, duration), ahead=LEAD)
 
     def follow(self, time: float, position: FloatArray) -> None:
         """Move a late foot over (3,) ``position`` in odom [m], from ``time`` [s], without a jump."""
         self._following = Quintic(self._flat(time)[:, :2], position[:2], time, FOLLOWING)
 
     def _plan(
-        self, motion: FloatArray, peel: FloatArray, start: FloatArray, target: SolePose, times: tuple[float, float]
+        self,
+        motion: FloatArray,
+        peel: FloatArray,
+        start: FloatArray,
+        target: SolePose,
+        times: tuple[float, float],
+        *,
+        ahead: float = 0.0,
     ) -> None:
-        """Plan from now to the end: from ``motion`` (3, 6), angles from ``start`` (3, 3), and ``peel`` (3, 1)."""
+        """Plan from now to the end: from ``motion`` (3, 6), angles from ``start`` (3, 3), and ``peel`` (3, 1).
+
+        ``motion`` is that in the plane so much ``ahead`` [s].
+        """
         time, duration = times
         end = np.empty(6)
         end[:3], end[3:] = target.position, rotation.rotation_vector(target.rotation @ start.T)
         end[2] -= self._depth
-        ahead = time + LEAD if time > 0.0 else 0.0
-        departs = max(ahead, min(self._departs, 0.5 * duration))
+        departs = max(time + ahead, min(self._departs, 0.5 * duration))
         arrives = max(departs + SHORTEST_RISE, self._arrives * duration)
         self._start, self._ends = start, duration
         self._horizontal = Quintic(motion, end, departs, arrives - departs)
