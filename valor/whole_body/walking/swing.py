@@ -15,7 +15,6 @@ from valor.common import rotation
 from valor.common.arrays import FloatArray
 from valor.control.steps import SolePose
 
-LEAD = 0.02  # Time by which a foot follows later than its reference in the plane, which is ahead of the height's [s]
 FOLLOWING = 0.06  # Time in which a late foot moves to a new foothold [s]
 HURRY = 4.0  # Acceleration of a late foot [m/s²]
 SHORTEST_RISE = 0.01  # Shortest rise to the apex; with less time the foot descends at once [s]
@@ -141,31 +140,21 @@ class SwingTrajectory:
             stretch = (duration - time) / left
             self._apex_time = time + (self._apex_time - time) * stretch
             self._peaks = time + (self._peaks - time) * stretch
-        self._plan(motion, peel, start, target, (time, duration), ahead=LEAD)
+        self._plan(motion, peel, start, target, (time, duration))
 
     def follow(self, time: float, position: FloatArray) -> None:
         """Move a late foot over (3,) ``position`` in odom [m], from ``time`` [s], without a jump."""
         self._following = Quintic(self._flat(time)[:, :2], position[:2], time, FOLLOWING)
 
     def _plan(
-        self,
-        motion: FloatArray,
-        peel: FloatArray,
-        start: FloatArray,
-        target: SolePose,
-        times: tuple[float, float],
-        *,
-        ahead: float = 0.0,
+        self, motion: FloatArray, peel: FloatArray, start: FloatArray, target: SolePose, times: tuple[float, float]
     ) -> None:
-        """Plan from now to the end: from ``motion`` (3, 6), angles from ``start`` (3, 3), and ``peel`` (3, 1).
-
-        ``motion`` is that in the plane so much ``ahead`` [s].
-        """
+        """Plan from now to the end: from ``motion`` (3, 6), angles from ``start`` (3, 3), and ``peel`` (3, 1)."""
         time, duration = times
         end = np.empty(6)
         end[:3], end[3:] = target.position, rotation.rotation_vector(target.rotation @ start.T)
         end[2] -= self._depth
-        departs = max(time + ahead, min(self._departs, 0.5 * duration))
+        departs = max(time, min(self._departs, 0.5 * duration))
         arrives = max(departs + SHORTEST_RISE, self._arrives * duration)
         self._start, self._ends = start, duration
         self._horizontal = Quintic(motion, end, departs, arrives - departs)
@@ -180,7 +169,7 @@ class SwingTrajectory:
 
     def _flat(self, time: float) -> FloatArray:
         """(3, 6) motion of the sole without peeling; angles as in ``_plan``."""
-        motion = self._horizontal.at(time + LEAD)
+        motion = self._horizontal.at(time)
         motion[:, 2] = self._vertical.at(time)[:, 0]
         if time > self._ends:
             motion[:, 2] = self._late_at(time - self._ends, motion[0, 2])
