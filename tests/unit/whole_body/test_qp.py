@@ -202,6 +202,16 @@ def test_a_foot_that_shall_not_push_does_not(random_problem: Problem) -> None:
     assert np.isfinite(right)
 
 
+def test_a_solution_that_takes_too_long_is_given_up(random_problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    bounds, n = random_problem.unbounded(), len(random_problem.damping)
+    most = np.sort(np.abs(random_problem.solve(bounds).torque))[-5]
+    bounds.lower[:n], bounds.upper[:n] = -most, most
+    assert random_problem.solve(bounds).status == QpStatus.LIMITED
+    monkeypatch.setattr("valor.whole_body.solver.qp.ITERATIONS", 2)
+    with pytest.raises(UnsolvableError, match="DAQP returned flag -4"):
+        random_problem.solve(bounds)
+
+
 def test_limits_that_cross_cannot_be_solved(random_problem: Problem) -> None:
     bounds = random_problem.unbounded()
     bounds.lower[3], bounds.upper[3] = 1.0, -1.0

@@ -28,6 +28,7 @@ from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import GROUPS, Task
 
 ROUNDS = 8  # Most rounds of limits joining the problem
+ITERATIONS = 200  # Most of DAQP: few control periods; while stepping to keep balance nearly all solutions take fewer
 TOLERANCE = 1e-6  # Tolerance of a limit [N·m, rad/s²]
 FROZEN_WEIGHT = 30.0  # of the posture of frozen joints
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite for any tasks
@@ -229,7 +230,7 @@ class ContactForceQp:
             lower = np.concatenate((lower, bounds.lower[joined]))
             upper = np.concatenate((upper, bounds.upper[joined]))
             rows = np.empty((0, upper.size))
-        z, _, flag, _ = daqp.solve(reduced.hessian, reduced.gradient, rows, upper, lower)
+        z, _, flag, _ = daqp.solve(reduced.hessian, reduced.gradient, rows, upper, lower, iter_limit=ITERATIONS)
         if flag < 1:
             raise UnsolvableError(f"DAQP returned flag {flag}; expected 1 or more")
         minimum: FloatArray = z
