@@ -91,7 +91,7 @@ class Symmetric(Search):
         return self._off(states[-1])
 
     def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self._off(states[-1]) < BALANCED
+        return self.upright(states[-1])
 
     def upright(self, state: FloatArray) -> bool:
         """Return whether the robot stands."""
@@ -209,6 +209,9 @@ class Squat(Symmetric):
         goals, last = self._symmetric(goals), (False,) * (count - 1) + (True,)
         return [*map(Target, REACHES, goals, vector[-count:].tolist(), (0.0, 0.0, 0.0, 0.3), last)]
 
+    def succeeded(self, states: Sequence[FloatArray]) -> bool:
+        return self._off(states[-1]) < BALANCED
+
 
 class StandUp(Symmetric):
     """Motion from the squat to the nominal posture: the flexion of the legs between."""
@@ -233,9 +236,6 @@ class StandUp(Symmetric):
     def cost(self, states: Sequence[FloatArray]) -> float:
         upright = 1.0 - self.rollouts.upwards(states[-1])[2]
         return float(np.mean([self._off(state) for state in states]) + 5.0 * upright)
-
-    def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self.upright(states[-1])
 
 
 class OverKnees(Symmetric):
@@ -344,6 +344,3 @@ class Throw(Symmetric):
     def cost(self, states: Sequence[FloatArray]) -> float:
         tilt = 1.0 - self.rollouts.upwards(states[-1])[2]
         return 0.1 * self._off(states[-1]) + 0.5 * min(tilt, 1.0) - 0.5 * self.succeeded(states)
-
-    def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self.upright(states[-1])

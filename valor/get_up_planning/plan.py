@@ -46,14 +46,14 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
 
         return shortened(poses, count, partial(rollouts.duration, poses[0].goal), report)
 
-    lying, varied = (usable(each, (Posture.FACE,)) for each in (falls, others))
-    starts, rise = lying, list[Target]()
+    lying = starts = usable(falls, (Posture.FACE,))
+    rise = list[Target]()
     for kind in (Squat, StandUp) if Squat(rollouts).folds else (OnHandsAndKnees, OnKnees, OnFeet):
         search = kind(rollouts)
         part = find(search, starts, seed, report)
-        if kind is OnFeet and varied:
-            part = tuned(Throw(rollouts, part), varied, seed, report)
-        starts, varied = (_after(search, each, part) for each in (starts, varied))
+        if kind is OnFeet and (kneeling := _after(OnKnees(rollouts), usable(others, (Posture.FACE,)), rise)):
+            part = tuned(Throw(rollouts, part), kneeling, seed, report)
+        starts = _after(search, starts, part)
         rise += part
     rise = shorter(rise, (Posture.FACE,), search)
     over = RollOver(rollouts, rise[:ONWARD])

@@ -125,13 +125,13 @@ def _optimised(
     iterations: int,
     report: Report,
 ) -> FloatArray:
-    """Return the best vector; the more expensive half of each population starts only once."""
+    """Return the best vector; the more expensive half of each population starts from few falls only."""
     spread = search.spread * (1.0 if iterations == ITERATIONS else 0.4)
     best, least, history = mean, np.inf, list[float]()
     for iteration in range(iterations):
         vectors = rng.normal(mean, spread, (POPULATION, mean.size)).clip(search.lower, search.upper)
         vectors[:2] = mean, best
-        costs = search.costs(vectors, starts[: -(-len(starts) // STARTS)]).mean(1)
+        costs = search.costs(vectors, starts[::STARTS]).mean(1)
         vectors = vectors[costs.argsort()[: POPULATION // 2]]
         every = search.costs(vectors, starts)
         order = (costs := every.mean(1) + 0.3 * every.max(1)).argsort()

@@ -96,7 +96,7 @@ class GetUp:
         """Start with the motion for how the robot lies, once it is at rest."""
         self.failure, self._failed, self._before = "", 0, None
         if (rate := turning(state)) > AT_REST:
-            self._come_to_rest(f"the pelvis rotates at {rate:.1f} rad/s; expected at most {AT_REST}", now)
+            self._come_to_rest(f"the pelvis {_rotates(rate)}", now)
         else:
             self.trouble, self.done = "", False
             self._look(state, now)
@@ -125,7 +125,7 @@ class GetUp:
             return
         if pose.hold > 0.0 and (rate := turning(state)) > AT_REST:
             if self._move.since_arrival(now) > pose.hold + COMING_TO_REST:
-                what = f"the pelvis still rotates at {rate:.1f} rad/s; expected at most {AT_REST}"
+                what = f"the pelvis still {_rotates(rate)}"
                 self.abandon(f"after {pose.name} {what}", now)
             return
         lower, upper = pose.pitch or (-180.0, 180.0)
@@ -161,7 +161,7 @@ class GetUp:
         if now - self._still >= RESTING:
             self._look(state, now)
         elif now - self._since > SETTLING:
-            self.failure = f"the pelvis still rotates at {rate:.1f} rad/s; expected at most {AT_REST}; {self.trouble}"
+            self.failure = f"the pelvis still {_rotates(rate)}; {self.trouble}"
 
     def _look(self, state: RobotState, now: float) -> None:
         """Start the motion for how the robot lies, or fail."""
@@ -188,6 +188,10 @@ class GetUp:
 def turning(state: RobotState) -> float:
     """Largest angular velocity of the pelvis about one of its axes [rad/s]."""
     return float(np.abs(state.pelvis_angular_velocity_in_pelvis).max())
+
+
+def _rotates(rate: float) -> str:
+    return f"rotates at {rate:.1f} rad/s; expected at most {AT_REST}"
 
 
 class GetUpDriver(Driver):

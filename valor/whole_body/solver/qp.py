@@ -28,7 +28,7 @@ from valor.whole_body.task_dynamics import TaskDynamics
 from valor.whole_body.tasks import GROUPS, Task
 
 ROUNDS = 8  # Most rounds of limits joining the problem
-ITERATIONS = 200  # Most of DAQP: few control periods; while stepping to keep balance nearly all solutions take fewer
+ITERATIONS = 200  # Most iterations of DAQP, a few control periods; a step to keep balance rarely needs over 130
 TOLERANCE = 1e-6  # Tolerance of a limit [N·m, rad/s²]
 FROZEN_WEIGHT = 30.0  # of the posture of frozen joints
 REGULARIZATION = 1e-4  # of every v̇ [1]: H is positive definite for any tasks
