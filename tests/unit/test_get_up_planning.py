@@ -8,12 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from harness.generated_robot import Build
 from harness.places import ROBOTS
+from tests.unit.robot_setup.builds import made
 from valor.common.arrays import FloatArray
 from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, RollOver, Squat, StandUp, Throw
 from valor.get_up_planning.plan import ONWARD, shortened, table
 from valor.get_up_planning.rollouts import HEADING, Fallen, Rollouts, Target
-from valor.get_up_planning.search import STARTS, NoMotionFoundError, Search, find, tuned
+from valor.get_up_planning.search import ROUNDS, SHORT, STARTS, TRIED, NoMotionFoundError, Search, find, tuned
 from valor.robot.description import RobotDescription
 from valor.robot.get_up_table import FILE, Posture, goals, load
 
@@ -48,6 +50,17 @@ def test_a_deep_squat_balances_on_the_soles(name: str) -> None:
     goal = squat.targets(squat.mean)[-1]
     (states,) = robot.play([(standing(robot, goal.goal), [Target("squat", goal.goal, 0.2, 0.2)])])
     assert squat.succeeded(states) and robot.joints(states[-1])[squat.knee] > 2.0
+
+
+def test_legs_that_lean_outward_fold_without_it(tmp_path: Path) -> None:
+    robot = made(Build(ankle=0.26), tmp_path)
+    stand_up = StandUp(Rollouts(robot))
+    leg = [robot.index[name] for name in robot.tables.group("left_leg")]
+    lean = [np.abs(target.goal[leg] - robot.nominal_posture[leg]) for target in stand_up.targets(stand_up.mean)]
+    roll = int(np.abs(robot.nominal_posture[leg]).argsort()[-4])  # less than hip, knee and ankle bend
+    nominal = abs(robot.nominal_posture[leg][roll])
+    assert nominal > 0.05
+    assert nominal > lean[0][roll] > lean[1][roll] > lean[2][roll] == 0.0
 
 
 @pytest.mark.parametrize("name", ["escher", "thor"])
@@ -179,10 +192,10 @@ class Reach(Search):
         return [Target("point", vector, 0.1)]
 
     def cost(self, states: Sequence[FloatArray]) -> float:
-        return float(np.abs(states[-1] - 1.0).sum()) - 1.0
+        return float(np.abs(states[-1] - 1.0).sum()) - float(np.sign(self.near))  # above 0 where nothing is near enough
 
     def succeeded(self, states: Sequence[FloatArray]) -> bool:
-        return self.cost(states) < self.near - 1.0
+        return float(np.abs(states[-1] - 1.0).sum()) < self.near
 
 
 @pytest.mark.parametrize("near", [0.3, -1.0])
@@ -201,6 +214,7 @@ def test_a_search_finds_what_there_is_or_gives_up_with_the_reason(monkeypatch: p
             NoMotionFoundError, match="escher: the best motion found to a point succeeds from 0 of 2 falls"
         ):
             find(Reach(near), falls, 0, reports.append)
+        assert sum(f" 1/{SHORT}:" in report for report in reports) == ROUNDS * TRIED  # each time anew
         with pytest.raises(NoMotionFoundError, match="2 falls to search"):
             find(Reach(near), falls[:2], 0, reports.append)
 

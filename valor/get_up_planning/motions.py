@@ -25,6 +25,7 @@ REACHES = {  # of the hands from the shoulders: forward, outward, up, in lengths
 SPREAD = 0.12  # of joints on the way over the knees [rad]
 ARMS_OUT = (-0.1, 0.75, -0.35)  # as REACHES, after rolling over
 CHANGE = 0.3  # of flexion [rad] and of durations [1] while a motion is tuned, at most
+APART, BENT = 0.3, 0.25  # hips outward and trunk forward in a squat [rad]
 DEEP = 0.97  # flexion of the legs in a squat, of the largest
 
 
@@ -79,11 +80,15 @@ class Symmetric(Search):
         self._right = [robot.index[name] for limb in ("leg", "arm") for name in robot.tables.group(f"right_{limb}")]
         self._pitch = [robot.index[name] for name in self._stance.pitch_joints("left")]
         self.knee = self._pitch[1]
-        axes = [self._stance.data.joint(robot.joints[i]).xaxis @ self._stance.base[1][:, 1] for i in self._pitch]
-        self._signs = np.sign(axes) * (-1.0, 1.0, -1.0)  # of flexion
+        axes = np.array([self._stance.data.joint(name).xaxis @ self._stance.base[1] for name in robot.joints])
+        self._turns = np.sign(axes)  # (n, 3) directions of the axes along the pelvis' in the nominal posture
+        self._signs = self._turns[self._pitch, 1] * (-1.0, 1.0, -1.0)  # of flexion
+        hip = [robot.index[name] for name in robot.tables.group("left_leg")[:3]]
+        self._hip_roll = hip[int(np.argmax(np.abs(axes[hip, 0])))]
         self._deepest = DEEP * np.max(self._signs * (robot.lower[self._pitch], robot.upper[self._pitch]), axis=0)
         self.folds = self._deepest[1] > FOLDED
         self._standing = self._signs * robot.nominal_posture[self._pitch]
+        self._others = [i for name in robot.tables.group("left_leg") if (i := robot.index[name]) not in self._pitch]
         self._ahead = self._posed(self._standing, REACHES["squat"])  # the arms
         self._leg = self._stance.mean_leg_length
 
@@ -116,7 +121,7 @@ class Symmetric(Search):
         ``near``: a posture (n,) with the arms like it.
         """
         robot, posture = self.robot, self.robot.nominal_posture.copy()
-        posture[self._pitch] = self._signs * flexion
+        self._bend(posture, np.asarray(flexion))
         if (arm := robot.tables.group("left_arm")) and (hand := robot.tables.hands.left):
             rest = dict(zip(robot.joints, robot.nominal_posture.tolist(), strict=True))
             chain = Chain(tuple(arm), hand.site)
@@ -124,6 +129,13 @@ class Symmetric(Search):
             angles = Poser(self._stance.model.mj).solve_reach(chain, np.array(reach), rest, like)
             posture[[robot.index[joint] for joint in angles]] = list(angles.values())
         return self._symmetric(posture)
+
+    def _bend(self, posture: FloatArray, flexion: FloatArray) -> None:
+        """Set the left leg's joints by the flexion of hip, knee and ankle [rad]; a folded leg does not lean outward."""
+        (_, least, _), (_, most, _) = self._standing, self._deepest
+        folded = np.clip((flexion[1] - least) / (most - least), 0.0, 1.0)
+        posture[self._pitch] = self._signs * flexion
+        posture[self._others] = (1.0 - folded) * self.robot.nominal_posture[self._others]
 
     def _symmetric(self, postures: FloatArray) -> FloatArray:
         """Return postures (…, n) with the right side as the mirror image of the left one."""
@@ -136,7 +148,7 @@ class Symmetric(Search):
         middle, found = 0.5 * (foot.heel + foot.toe), list[tuple[float, float]]()
         for hip in np.linspace(0.0, self._deepest[0], 60).tolist():
             posture = self._ahead.copy()
-            posture[self._pitch] = self._signs * (hip, knee, ankle)
+            self._bend(posture, np.array((hip, knee, ankle)))
             data.qpos[:] = model.nominal_qpos()
             data.qpos[model.qpos] = self._symmetric(posture)
             mujoco.mj_kinematics(model.mj, data)
@@ -196,15 +208,18 @@ class Squat(Symmetric):
         self._moved = [*self.indices("left_leg")[:-1], *self.indices("left_arm"), *middle]
         _, knee, ankle = self._deepest
         legs = ((0.1, 0.3, ankle), self._deepest, self._deepest, self._balanced(knee, ankle))
-        poses = [self._posed(*each) for each in zip(legs, REACHES.values(), strict=True)]
-        self.mean = np.concatenate([*(pose[self._moved] for pose in poses), (0.6, 0.6, 0.5, 0.4)])
+        poses = np.array([self._posed(*each) for each in zip(legs, REACHES.values(), strict=True)])
+        poses[1:, self._hip_roll] += APART * self._turns[self._hip_roll, 0]
+        poses[1:, middle] += BENT * self._turns[middle, 1]
+        self._goals = np.tile(self.robot.nominal_posture, (len(poses), 1))
+        self._goals[:, self._others] = poses[:, self._others]
+        self.mean = np.concatenate([*poses[:, self._moved], (0.6, 0.6, 0.5, 0.4)])
         self.bound(self._moved, len(REACHES))
         self.spread = np.full(self.mean.size, 0.25)
         self.spread[-len(REACHES) :] = 0.1
 
     def targets(self, vector: FloatArray) -> list[Target]:
-        count = len(REACHES)
-        goals = np.tile(self.robot.nominal_posture, (count, 1))
+        count, goals = len(REACHES), self._goals.copy()
         goals[:, self._moved] = vector[:-count].reshape(count, -1)
         goals, last = self._symmetric(goals), (False,) * (count - 1) + (True,)
         return [*map(Target, REACHES, goals, vector[-count:].tolist(), (0.0, 0.0, 0.0, 0.3), last)]
@@ -229,7 +244,8 @@ class StandUp(Symmetric):
         self.spread = np.concatenate([np.full(6, 0.15), np.full(3, 0.1)])
 
     def targets(self, vector: FloatArray) -> list[Target]:
-        self._poses[:, self._pitch] = self._signs * vector[:6].reshape(2, 3)
+        for pose, flexion in zip(self._poses, vector[:6].reshape(2, 3), strict=True):
+            self._bend(pose, flexion)
         goals = [*self._symmetric(self._poses), self.robot.nominal_posture]
         return [*map(Target, self.names, goals, vector[6:].tolist(), (0.0, 0.0, 0.5), (True,) * 3)]
 
@@ -246,7 +262,7 @@ class OverKnees(Symmetric):
 
     def __init__(self, rollouts: Rollouts) -> None:
         super().__init__(rollouts)
-        robot, count = self.robot, len(self.keys)
+        count = len(self.keys)
         overhead = self._posed(self._standing, (0.2, 0.3, 0.93))
         goals = list[FloatArray]()
         for key in self.keys:
@@ -254,10 +270,7 @@ class OverKnees(Symmetric):
             goals.append(self._posed(np.minimum((key.hip, key.knee, key.ankle), self._deepest), key.reach, near))
         self._goals = np.array(goals)
         self._moved = [*self.indices("left_leg")[:-1], *self.indices("left_arm")]
-        forward = self._stance.base[1][:, 0]
-        axes = [self._stance.data.joint(robot.joints[i]).xaxis @ forward for i in self._moved[:3]]
-        roll = int(np.argmax(np.abs(axes)))
-        self._goals[:, self._moved[roll]] += [np.sign(axes[roll]) * key.apart for key in self.keys]
+        self._goals[:, self._hip_roll] += self._turns[self._hip_roll, 0] * np.array([key.apart for key in self.keys])
         self.mean = np.concatenate([*self._goals[:, self._moved], [key.duration for key in self.keys]])
         self.bound(self._moved, count)
         self.spread = np.concatenate([np.full(count * len(self._moved), SPREAD), np.full(count, 0.1)])

@@ -6,6 +6,7 @@ those from which it fails join the search.
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +17,13 @@ from valor.get_up_planning.rollouts import Fallen, Rollouts, Target
 from valor.robot.get_up_table import Posture
 
 POPULATION, ELITE, KEPT = 24, 6, 0.3  # candidates, those that count, weight of the mean before
-ITERATIONS, LATER = 40, 6  # of a search, and after its motion failed
+TRIED, SHORT = 3, 10  # short searches, iterations of each
+ITERATIONS, LATER = 30, 6  # of the best one afterwards, and after its motion failed
 TUNING, MANY = 12, 32  # iterations from many starts, so many
 ROUNDS = 6  # searches, at most
 STARTS = 6  # falls of the first search; the others check its motion
 PASSED = 0.9  # least share of the checks
+LOST = 0.5  # share of failed checks above which a search begins anew
 TIME = 0.1  # cost of a motion's duration [1/s]
 SETTLED, WAITED = 0.02, 5  # a search ends if it improves less in iterations
 SLOWEST = (0.2, 1.5)  # of a motion to a key pose [s]
@@ -87,22 +90,45 @@ def usable(falls: Sequence[Fallen], ways: Sequence[Posture | None]) -> list[Fall
     return [fall for fall in falls if fall.way in ways]
 
 
+class Cloud(NamedTuple):
+    """Distribution of candidates, the best of them, and its cost."""
+
+    mean: FloatArray
+    spread: FloatArray
+    best: FloatArray
+    least: float = np.inf
+
+
 def find(search: Search, falls: Sequence[Fallen], seed: int, report: Report) -> list[Target]:
-    """Return a motion's key poses; raises ``NoMotionFoundError``."""
+    """Return a motion's key poses; raises ``NoMotionFoundError``.
+
+    The best of several short searches continues. While it fails from most checks, others begin anew.
+    """
     rng, falls = np.random.default_rng(seed), usable(falls, search.start)
-    starts, checks, best = [*falls[:STARTS]], falls[STARTS:], search.mean
+    starts, checks = [*falls[:STARTS]], falls[STARTS:]
     if not checks:
         raise NoMotionFoundError(
             f"{search.robot.name}: {len(falls)} falls to search a motion to {search.to}; expected more than {STARTS}"
         )
-    for round_ in range(ROUNDS):
-        best = _optimised(search, best, starts, rng, iterations=LATER if round_ else ITERATIONS, report=report)
-        targets = search.targets(best)
+    cloud = first = Cloud(search.mean, search.spread, search.mean)
+    anew = True
+    for _ in range(ROUNDS):
+        if anew:
+            clouds = [
+                _optimised(search, first, falls[:STARTS], rng, iterations=SHORT, report=report) for _ in range(TRIED)
+            ]
+            best = min(clouds, key=lambda tried: tried.least)
+            cloud = _optimised(search, best, falls[:STARTS], rng, iterations=ITERATIONS, report=report)
+        else:
+            cloud = Cloud(cloud.best, 0.4 * search.spread, cloud.best)
+            cloud = _optimised(search, cloud, starts, rng, iterations=LATER, report=report)
+        targets = search.targets(cloud.best)
         results = search.play([(fall, targets) for fall in checks])
         failed = [fall for fall, states in zip(checks, results, strict=True) if not search.succeeded(states)]
         report(f"{search.to}: succeeds from {len(checks) - len(failed)} of {len(checks)} falls")
         if len(failed) <= (1.0 - PASSED) * len(checks):
             return targets
+        anew = len(failed) > LOST * len(checks) and cloud.least > 0.0
         starts += failed[: STARTS // 2]
     raise NoMotionFoundError(
         f"{search.robot.name}: the best motion found to {search.to} succeeds from {len(checks) - len(failed)} of "
@@ -112,22 +138,17 @@ def find(search: Search, falls: Sequence[Fallen], seed: int, report: Report) -> 
 
 def tuned(search: Search, starts: Sequence[Fallen], seed: int, report: Report) -> list[Target]:
     """Return the key poses near the search's mean that do best from many starts."""
+    cloud = Cloud(search.mean, 0.4 * search.spread, search.mean)
     rng = np.random.default_rng(seed)
-    return search.targets(_optimised(search, search.mean, starts[:MANY], rng, iterations=TUNING, report=report))
+    return search.targets(_optimised(search, cloud, starts[:MANY], rng, iterations=TUNING, report=report).best)
 
 
 def _optimised(
-    search: Search,
-    mean: FloatArray,
-    starts: Sequence[Fallen],
-    rng: np.random.Generator,
-    *,
-    iterations: int,
-    report: Report,
-) -> FloatArray:
-    """Return the best vector; the more expensive half of each population starts from few falls only."""
-    spread = search.spread * (1.0 if iterations == ITERATIONS else 0.4)
-    best, least, history = mean, np.inf, list[float]()
+    search: Search, cloud: Cloud, starts: Sequence[Fallen], rng: np.random.Generator, *, iterations: int, report: Report
+) -> Cloud:
+    """Return the cloud after iterations; the more expensive half of each population starts from few falls only."""
+    mean, spread, best, least = cloud
+    history = list[float]()
     for iteration in range(iterations):
         vectors = rng.normal(mean, spread, (POPULATION, mean.size)).clip(search.lower, search.upper)
         vectors[:2] = mean, best
@@ -145,4 +166,4 @@ def _optimised(
         waited = WAITED if least < 0.0 else 3 * WAITED
         if len(history) > waited and history[-1 - waited] - least < SETTLED:
             break
-    return best
+    return Cloud(mean, spread, best, least)

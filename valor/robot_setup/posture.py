@@ -14,6 +14,9 @@ from valor.robot.legs import knee, pitch_joints
 from valor.robot.tables import SIDES
 
 HIP_RATIO = 0.884  # height of the hip over the ankle, relative to the straight leg's length: ESCHER's and THOR's
+SIDE_LEAN = (
+    0.36  # of a leg that ends a side step; by what ankle roll ends before, legs lean in the nominal posture [rad]
+)
 _ROUNDING = 1.5e-3  # of angles to 3 decimals, and of limits to 4 digits [rad]
 _REGULARIZATION = 1e-3  # weight that draws undetermined angles to their start
 
@@ -37,6 +40,7 @@ class Stance:
     hip_height: float  # over the ankle [m]
     com_height: float  # over the soles [m]
     width: float  # between the soles' origins [m]
+    step_width: float  # likewise, under legs that do not lean [m]
     knees: tuple[str, str]  # left and right
 
 
@@ -114,7 +118,9 @@ class Poser:
         pitch = {side: pitch_joints(self.data, legs[side].joints, lateral) for side in SIDES}
         length = float(np.mean([_length(map(self.anchor, pitch[side])) for side in SIDES]))
         apart = float(np.mean([abs(self.site(legs[side].site)[0][1]) for side in SIDES]))
-        apart = max(apart, 1.17 * half_width)
+        lean = max(0.0, SIDE_LEAN - min(self._side_lean(side, legs[side], pitch[side]) for side in SIDES))
+        step_width = 2 * max(apart, 1.17 * half_width)
+        apart = max(apart + length * np.sin(lean), 1.17 * half_width)
         names = [name for side in SIDES for name in legs[side].joints]
         low, high = self.bounds(names)
         start = self._bent(names, knees, pitch)
@@ -157,8 +163,15 @@ class Poser:
             float(np.mean([self._hip_height(pitch[side]) for side in SIDES])),
             float(self.data.subtree_com[1][2] + solution.x[-2]),
             2 * apart,
+            step_width,
             (knees["left"][0], knees["right"][0]),
         )
+
+    def _side_lean(self, side: str, leg: Chain, pitch: Sequence[str]) -> float:
+        """Return how far the ankle lets a leg lean outward over a level sole [rad]."""
+        roll = next(name for name in leg.joints[-2:] if name != pitch[-1])
+        low, high = self.limits(roll)
+        return high if (self.data.joint(roll).xaxis[0] > 0) == (side == "right") else -low
 
     def _bent(
         self, names: Sequence[str], knees: Mapping[str, tuple[str, float]], pitch: Mapping[str, Sequence[str]]

@@ -205,7 +205,7 @@ def _motion(draft: RobotDraft) -> list[str]:
         "# Other parameters of motion follow from the robot's size.",
         _footsteps(stance),
         "walking:",
-        f"  step_width: {_n(stance.width)}  # as in the nominal posture",
+        f"  step_width: {_n(stance.step_width)}  # between legs that do not lean",
     ]
     if abs(stance.hip_height / stance.leg_length - Walking().hip_height / ESCHER.leg) > HIP_TOLERANCE:
         lines.append(f"  hip_height: {_n(stance.hip_height)}  # as in the nominal posture")
@@ -227,25 +227,25 @@ def _footsteps(stance: Stance) -> str:
     if not _is_wide(stance):
         return "footsteps: {}"
     ahead = size * sqrt(usual.max_distance**2 - Walking().step_width ** 2)
-    widest, farthest = _widest(stance), hypot(stance.width, ahead)
+    widest, farthest = _widest(stance), hypot(stance.step_width, ahead)
     return f"footsteps: {{ max_width: {_n(widest)}, max_distance: {_n(farthest)} }}  # the stance is wide"
 
 
 def _is_wide(stance: Stance) -> bool:
-    return stance.width > WIDE * Footsteps().max_distance * stance.leg_length / ESCHER.leg
+    return stance.step_width > WIDE * Footsteps().max_distance * stance.leg_length / ESCHER.leg
 
 
 def _widest(stance: Stance) -> float:
     """Return the largest distance of the feet in a step [m]."""
     usual = Footsteps().max_width * stance.leg_length / ESCHER.leg
-    return max(usual, 1.5 * stance.width) if _is_wide(stance) else usual
+    return max(usual, 1.5 * stance.step_width) if _is_wide(stance) else usual
 
 
 def _lateral_speed(stance: Stance) -> float:
     """Return the speed at which steps aside reach ``footsteps.max_width`` [m/s]: one of two makes the way of both."""
     walking, slower = Walking(), sqrt(stance.leg_length / ESCHER.leg)
     period = slower * (walking.fast_swing_duration + walking.fast_transfer_duration)
-    return 0.5 * (_widest(stance) - stance.width) / period
+    return 0.5 * (_widest(stance) - stance.step_width) / period
 
 
 def frames(robot: Skeleton) -> dict[str, int | str]:

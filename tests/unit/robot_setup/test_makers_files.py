@@ -19,6 +19,7 @@ from valor.robot.description import RobotDescription
 from valor.robot.model_tree import read
 from valor.robot_setup.meshes import converted
 from valor.robot_setup.new import draft_robot
+from valor.robot_setup.posture import SIDE_LEAN, Stance
 from valor.robot_setup.robot_yaml import RobotDraft, groups
 
 Root = ElementTree.Element
@@ -137,6 +138,28 @@ def test_very_small_inertias_and_feet_are_written(tmp_path: Path) -> None:
                     body[0].set("diaginertia", inertia)
 
     assert drafted(Build(spring=True), tmp_path, change).geometry.step < 0.001
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_feet_stand_farther_apart_where_ankle_roll_ends_early(mirrored: bool, tmp_path: Path) -> None:
+    build = Build(mirrored=mirrored)
+
+    def stance(inward: float, outward: float) -> Stance:
+        """Of a robot whose ankles let a leg lean so far [rad]."""
+
+        def change(root: Root) -> None:
+            for side in ("left", "right"):
+                low, high = (inward, outward) if side == "right" and not mirrored else (outward, inward)
+                named(root, "joint", f"{side}_ankle_x").set("range", f"{-low} {high}")
+
+        folder = tmp_path / f"{inward}, {outward}"
+        folder.mkdir()
+        return drafted(build, folder, change).stance
+
+    usual, inward, outward = stance(0.5, 0.5), stance(0.26, 0.5), stance(0.5, SIDE_LEAN - 0.1)
+    assert inward.width == pytest.approx(usual.width, abs=1e-3)
+    assert outward.width == pytest.approx(usual.width + 0.2 * build.leg, rel=0.01)
+    assert outward.step_width == pytest.approx(usual.step_width, abs=1e-3)
 
 
 def test_rounded_angles_are_within_limits(tmp_path: Path) -> None:
