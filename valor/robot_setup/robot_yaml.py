@@ -224,10 +224,10 @@ def _motion(draft: RobotDraft) -> list[str]:
 def _footsteps(stance: Stance) -> str:
     """Accept plans of steps; wider ones for a robot whose feet are far apart for its size."""
     usual, size = Footsteps(), stance.leg_length / ESCHER.leg
-    if not _is_wide(stance):
+    if not _is_wide(stance) and stance.width == stance.step_width:
         return "footsteps: {}"
     ahead = size * sqrt(usual.max_distance**2 - Walking().step_width ** 2)
-    widest, farthest = _widest(stance), hypot(stance.step_width, ahead)
+    widest, farthest = _widest(stance), hypot(stance.width, ahead)
     return f"footsteps: {{ max_width: {_n(widest)}, max_distance: {_n(farthest)} }}  # the stance is wide"
 
 

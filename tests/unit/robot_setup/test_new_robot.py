@@ -41,6 +41,12 @@ def test_a_robot_of_three_kilograms_stands_is_pushed_and_walks(tmp_path: Path) -
     assert {name: result.reason for name, result in played.items()} == {"push forward": "", "walk": ""}
 
 
+def test_a_robot_whose_legs_lean_outward_executes_a_plan_and_walks(tmp_path: Path) -> None:
+    robot = made(Build(ankle=0.2), tmp_path)
+    played = {name: play() for name, play in SelfTest(robot, "hardware").tests() if name in {"six steps", "walk"}}
+    assert {name: result.reason for name, result in played.items()} == {"six steps": "", "walk": ""}
+
+
 def test_ankles_on_narrow_soles_brake_no_faster_than_drives(tmp_path: Path) -> None:
     usual, narrow = made(Build(), tmp_path / "usual"), made(Build(narrow=0.36), tmp_path / "narrow")
     assert usual.read(Tuning).whole_body.limit_response > 40
