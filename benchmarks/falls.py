@@ -4,7 +4,7 @@ The simulator's truth: the largest force of the ground on the head, on both hand
 physics step; and the robot's kinetic energy when anything but a foot first touches the ground. A robot without a body
 for its head has it in its chest, above the shoulders.
 
-    .venv/bin/python -m benchmarks.falls [--robot NAME] [--seeds 5] [--profile hardware] [--direction NAME] [--each]
+    .venv/bin/python -m benchmarks.falls [--robot NAME] [--seeds 5] [--impulse 1.3] [--direction NAME] [--each]
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Impact(NamedTuple):
     lies: str  # behavior in the end, and the attitude [°]
 
 
-def fall(run: RobotInProcess, heading: float, lands: bool) -> Impact:
-    """Push a standing robot over to a heading, 90 is left [°]; ``lands``: False to go limp at once."""
+def fall(run: RobotInProcess, heading: float, impulse: float, lands: bool) -> Impact:
+    """Push a standing robot over: heading, 90 is left [°], impulse by mass [N·s/kg]; ``lands``: False to go limp."""
     plant, robot = run.plant, run.plant.model.robot
     mj, data = plant.model.mj, plant.data
     groups = parts(plant.model.mj, robot)
@@ -58,7 +58,7 @@ def fall(run: RobotInProcess, heading: float, lands: bool) -> Impact:
     if not lands:
         Landing.begin = lambda *_: None  # type: ignore[method-assign]
     mass = float(mj.body_mass.sum())
-    plant.push(IMPULSE * mass * np.array((np.cos(np.radians(heading)), np.sin(np.radians(heading)), 0.0)), 0.1)
+    plant.push(impulse * mass * np.array((np.cos(np.radians(heading)), np.sin(np.radians(heading)), 0.0)), 0.1)
     step = plant.step
 
     def watched(count: int) -> None:
@@ -108,19 +108,21 @@ def parts(mj: mujoco.MjModel, robot: RobotDescription) -> list[list[int]]:
     return found
 
 
-def falls(robot: RobotDescription, profile: str, seed: int, directions: Sequence[str]) -> dict[str, list[Impact]]:
+def falls(robot: RobotDescription, seed: int, options: argparse.Namespace) -> dict[str, list[Impact]]:
     """Impacts by direction, limp and landing: each in a copy of the process, from the same robot, standing."""
-    run = RobotInProcess(robot, profile, seed)
+    run = RobotInProcess(robot, options.profile, seed)
     assert not (refused := run.stand_up()), refused
     run.run(0.5)
     results: dict[str, list[Impact]] = {}
-    for direction in directions:
+    for direction in options.direction:
         results[direction] = []
         for lands in (False, True):
             pipe, end = multiprocessing.Pipe()
             heading = float(DIRECTIONS.get(direction, direction))
             child = multiprocessing.get_context("fork").Process(
-                target=lambda end=end, heading=heading, lands=lands: end.send(fall(run, heading, lands))
+                target=lambda end=end, heading=heading, lands=lands: end.send(
+                    fall(run, heading, options.impulse, lands)
+                )
             )
             child.start()
             results[direction].append(pipe.recv())
@@ -128,16 +130,18 @@ def falls(robot: RobotDescription, profile: str, seed: int, directions: Sequence
     return results
 
 
-def table(robot: RobotDescription, profile: str, seeds: int, directions: Sequence[str], each: bool) -> Iterator[str]:
+def table(options: argparse.Namespace) -> Iterator[str]:
     """Medians over the seeds, limp → landing."""
-    yield f"\n## Falls, {robot.name}, {profile}, {seeds} seeds: limp → landing\n"
+    robot = load_robot(options.robot)
+    pushed = f"{options.profile}, {options.impulse} N·s/kg, {options.seeds} seeds"
+    yield f"\n## Falls, {robot.name}, {pushed}: limp → landing\n"
     heads = " | ".join(f"{part} [N]" for part in PARTS)
     yield f"| pushed | {heads} | energy at the first contact [J] | warning [s] | outside limits [rad] | lies |"
     yield f"|{'---|' * 8}"
-    found = [falls(robot, profile, seed, directions) for seed in range(seeds)]
-    for direction in directions:
+    found = [falls(robot, seed, options) for seed in range(options.seeds)]
+    for direction in options.direction:
         pairs = [result[direction] for result in found]
-        for rows in [[pair] for pair in pairs] * each + [pairs]:
+        for rows in [[pair] for pair in pairs] * options.each + [pairs]:
             limp, landing = zip(*rows, strict=True)
             yield f"| {direction} | {' | '.join(cells(limp, landing))} |"
 
@@ -164,11 +168,12 @@ def main() -> None:
     parser.add_argument("--robot", default="escher")
     parser.add_argument("--profile", default="hardware")
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--impulse", type=float, default=IMPULSE, help="by mass [N·s/kg]")
     parser.add_argument("--direction", action="append", help=f"{', '.join(DIRECTIONS)}, or a heading, 90 is left [°]")
     parser.add_argument("--each", action="store_true", help="a row for each seed, too")
     options = parser.parse_args()
-    directions = options.direction or list(DIRECTIONS)
-    for line in table(load_robot(options.robot), options.profile, options.seeds, directions, options.each):
+    options.direction = options.direction or list(DIRECTIONS)
+    for line in table(options):
         print(line, flush=True)
 
 
