@@ -12,8 +12,8 @@ from harness.generated_robot import Build
 from harness.places import ROBOTS
 from tests.unit.robot_setup.builds import made
 from valor.common.arrays import FloatArray
-from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, RollOver, Squat, StandUp, Throw
-from valor.get_up_planning.plan import ONWARD, shortened, table
+from valor.get_up_planning.motions import OnFeet, OnHandsAndKnees, OnKnees, RollOver, Squat, StandUp, Throw
+from valor.get_up_planning.plan import BENDS, ONWARD, freed, shortened, table
 from valor.get_up_planning.rollouts import HEADING, Fallen, Rollouts, Target
 from valor.get_up_planning.search import ROUNDS, SHORT, STARTS, TRIED, NoMotionFoundError, Search, find, tuned
 from valor.robot.description import RobotDescription
@@ -153,6 +153,21 @@ def test_a_throw_is_changed_alike_on_both_sides_but_for_its_end() -> None:
         assert np.allclose((pose.goal - before.goal)[joints], (-0.1, -0.2, -0.1, -0.2), atol=1e-6)
         assert pose.duration == pytest.approx(1.5 * before.duration) and pose.balanced == before.balanced
     assert np.allclose(flexed[-1].goal, robot.robot.nominal_posture, atol=1e-3) and flexed[-1].hold == part[-1].hold
+
+
+def test_knees_bend_as_frees_the_arms_from_most_falls(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = rollouts("thor")
+    rise, roll = motion(robot.robot, Posture.FACE), motion(robot.robot, Posture.BACK)
+    knees = [robot.robot.index[f"{side}_knee_pitch"] for side in "lr"]
+    straighter = rise[0].goal[knees] - 0.2
+    monkeypatch.setattr(Rollouts, "play", lambda _, motions: [[targets[0].goal] for _, targets in motions])
+    monkeypatch.setattr(RollOver, "succeeded", lambda *_: True)
+    monkeypatch.setattr(OnKnees, "succeeded", lambda _, states: np.allclose(states[-1][knees], straighter))
+    falls = [Fallen(robot.model.mj, np.zeros(1), np.zeros(1), way) for way in (Posture.FACE, Posture.BACK)]
+    reports: list[str] = []
+    first, *others = freed(robot, rise, roll, falls, reports.append)
+    assert np.allclose(first.goal[knees], straighter) and len(reports) == len(BENDS)
+    assert all(np.allclose(a.goal, b.goal, atol=1e-3) for a, b in zip(others, rise[1:], strict=True))
 
 
 def test_varied_falls_have_other_friction_and_damping() -> None:

@@ -17,6 +17,7 @@ FALLS = 24  # towards each side
 ONWARD = 3  # key poses of a rise that follow when a roll-over is simulated
 CHECKED = (8, 32)  # falls from which a shorter motion succeeds as often: a few, then many
 SHORTER = (0.0, 0.5, 0.75)  # share of a key pose's time
+BENDS = (0.0, -0.2, -0.4)  # flexion of the knees added in the first key pose [rad]
 SHORTEST = 0.1  # duration [s]
 ROLL = 45.0  # of the pelvis, at most [deg]
 ROOM = 30.0  # of the pelvis pitch around that of the simulated motions [deg]
@@ -58,6 +59,8 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
     rise = shorter(rise, (Posture.FACE,), search)
     over = RollOver(rollouts, rise[:ONWARD])
     roll = shorter(find(over, falls, seed, report), over.start, over)
+    if kind is OnFeet:
+        rise = freed(rollouts, rise, roll, others, report)
     return table(rollouts, lying, rise, roll)
 
 
@@ -68,6 +71,27 @@ def _after(search: Search, starts: Sequence[Fallen], part: Sequence[Target]) -> 
         for start, states in zip(starts, search.play([(start, part) for start in starts]), strict=True)
         if search.succeeded(states)
     ]
+
+
+def freed(
+    rollouts: Rollouts, rise: Sequence[Target], roll: Sequence[Target], falls: Sequence[Fallen], report: Report
+) -> list[Target]:
+    """Return a rise over the knees that reaches them from most falls: with bent knees an arm may stay below the body.
+
+    The flexion in its first key pose is one of ``BENDS`` more.
+    """
+    knees, over, count = OnKnees(rollouts), RollOver(rollouts), next(i for i, pose in enumerate(rise, 1) if pose.hold)
+    starts = [*usable(falls, (Posture.FACE,)), *_after(over, usable(falls, over.start), roll)]
+    changed, change = Throw(rollouts, rise[:count]), np.zeros(3 * count)
+    found, most = rise[:count], -1
+    for bend in BENDS:
+        change[count] = bend
+        way = changed.targets(change)
+        succeeded = [knees.succeeded(states) for states in knees.play([(start, way) for start in starts])].count(True)
+        report(f"{rise[0].name}, knees {bend:+.1f} rad: {knees.to} from {succeeded} of {len(starts)} falls")
+        if succeeded > most:
+            found, most = way, succeeded
+    return [*found, *rise[count:]]
 
 
 def shortened(
@@ -126,7 +150,7 @@ def _motion(
     robot, before = rollouts.robot, None
     yield from (f"  - from: [{start}]", f"    to: {to}", "    poses:")
     for i, target in enumerate(targets):
-        goal = target.goal.round(3).clip(robot.lower, robot.upper)
+        goal = target.goal.round(3).clip(robot.lower, robot.upper) + 0.0  # no −0
         duration = target.duration if before is None else rollouts.move(before, target).duration
         yield f"      - name: {target.name}"
         yield f"        duration: {duration + 0.005:.2f}"
