@@ -229,7 +229,7 @@ def test_a_search_finds_what_there_is_or_gives_up_with_the_reason(monkeypatch: p
             NoMotionFoundError, match="escher: the best motion found to a point succeeds from 0 of 2 falls"
         ):
             find(Reach(near), falls, 0, reports.append)
-        assert sum(f" 1/{SHORT}:" in report for report in reports) == ROUNDS * TRIED  # each time anew
+        assert sum(f" 1/{SHORT}:" in report for report in reports) == ROUNDS * TRIED  # every round restarts
         with pytest.raises(NoMotionFoundError, match="2 falls to search"):
             find(Reach(near), falls[:2], 0, reports.append)
 

@@ -74,6 +74,9 @@ ON_FEET = (
 class Symmetric(Search):
     """Motion through postures with both sides alike, to a stance on both soles."""
 
+    _moved: list[int]  # joints in the vector
+    _goals: FloatArray  # (k, n) goals with the other joints [rad]
+
     def __init__(self, rollouts: Rollouts, onward: Sequence[Target] = ()) -> None:
         super().__init__(rollouts, onward)
         robot, self._stance = self.robot, rollouts.stance
@@ -130,6 +133,18 @@ class Symmetric(Search):
             posture[[robot.index[joint] for joint in angles]] = list(angles.values())
         return self._symmetric(posture)
 
+    def bent(self, pose: Target, more: float) -> Target:
+        """Return a key pose with both knees flexed more [rad]."""
+        goal = pose.goal.copy()
+        goal[self.knee] += self._signs[1] * more
+        return replace(pose, goal=self._symmetric(goal))
+
+    def _moving(self, vector: FloatArray) -> tuple[FloatArray, list[float]]:
+        """Return goals (k, n) [rad] and durations (k,) [s] that a vector states for the joints that it moves."""
+        goals, count = self._goals.copy(), len(self._goals)
+        goals[:, self._moved] = vector[:-count].reshape(count, -1)
+        return goals, vector[-count:].tolist()
+
     def _bend(self, posture: FloatArray, flexion: FloatArray) -> None:
         """Set the left leg's joints by the flexion of hip, knee and ankle [rad]; a folded leg does not lean outward."""
         (_, least, _), (_, most, _) = self._standing, self._deepest
@@ -170,15 +185,13 @@ class RollOver(Symmetric):
         self._moved = self.indices(*groups, "torso")
         rest, count = self.robot.nominal_posture[self._moved], len(self.names)
         end = self._posed((0.0, 0.1, 0.5), ARMS_OUT, self.robot.nominal_posture)[self._moved]
+        self._goals = np.tile(self.robot.nominal_posture, (count, 1))
         self.mean = np.concatenate([rest, rest, end, np.full(count, 0.6)])
         self.bound(self._moved, count)
         self.spread = np.concatenate([np.full(2 * rest.size, 0.5), np.full(rest.size, 0.2), np.full(count, 0.15)])
 
     def targets(self, vector: FloatArray) -> list[Target]:
-        count = len(self.names)
-        goals = np.tile(self.robot.nominal_posture, (count, 1))
-        goals[:, self._moved] = vector[:-count].reshape(count, -1)
-        return [*map(Target, self.names, goals, vector[-count:].tolist(), (0.0, 0.0, 0.3))]
+        return [*map(Target, self.names, *self._moving(vector), (0.0, 0.0, 0.3))]
 
     def cost(self, states: Sequence[FloatArray]) -> float:
         forward, _, up = self.rollouts.upwards(states[self._end])
@@ -219,10 +232,9 @@ class Squat(Symmetric):
         self.spread[-len(REACHES) :] = 0.1
 
     def targets(self, vector: FloatArray) -> list[Target]:
-        count, goals = len(REACHES), self._goals.copy()
-        goals[:, self._moved] = vector[:-count].reshape(count, -1)
-        goals, last = self._symmetric(goals), (False,) * (count - 1) + (True,)
-        return [*map(Target, REACHES, goals, vector[-count:].tolist(), (0.0, 0.0, 0.0, 0.3), last)]
+        goals, durations = self._moving(vector)
+        last = (False, False, False, True)
+        return [*map(Target, REACHES, self._symmetric(goals), durations, (0.0, 0.0, 0.0, 0.3), last)]
 
     def succeeded(self, states: Sequence[FloatArray]) -> bool:
         return self._off(states[-1]) < BALANCED
@@ -276,10 +288,9 @@ class OverKnees(Symmetric):
         self.spread = np.concatenate([np.full(count * len(self._moved), SPREAD), np.full(count, 0.1)])
 
     def targets(self, vector: FloatArray) -> list[Target]:
-        count, goals = len(self.keys), self._goals.copy()
-        goals[:, self._moved] = vector[:-count].reshape(count, -1)
-        names, holds = [key.name for key in self.keys], [0.0] * (count - 1) + [self.hold]
-        return [*map(Target, names, self._symmetric(goals), vector[-count:].tolist(), holds)]
+        goals, durations = self._moving(vector)
+        names, holds = [key.name for key in self.keys], [0.0] * (len(goals) - 1) + [self.hold]
+        return [*map(Target, names, self._symmetric(goals), durations, holds)]
 
     def cost(self, states: Sequence[FloatArray]) -> float:
         off = [min(self._aside(state, key.pitch), 1.5) for state, key in zip(states, self.keys, strict=False)]

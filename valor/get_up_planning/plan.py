@@ -41,9 +41,7 @@ def plan(robot: RobotDescription, report: Report, seed: int = 0) -> str:
         starts = usable(others, start)
 
         def count(poses: Sequence[Target], first: int) -> int:
-            return [
-                search.succeeded(states) for states in search.play([(fall, poses) for fall in starts[:first]])
-            ].count(True)
+            return search.successes(starts[:first], poses).count(True)
 
         return shortened(poses, count, partial(rollouts.duration, poses[0].goal), report)
 
@@ -82,16 +80,12 @@ def freed(
     """
     knees, over, count = OnKnees(rollouts), RollOver(rollouts), next(i for i, pose in enumerate(rise, 1) if pose.hold)
     starts = [*usable(falls, (Posture.FACE,)), *_after(over, usable(falls, over.start), roll)]
-    changed, change = Throw(rollouts, rise[:count]), np.zeros(3 * count)
-    found, most = rise[:count], -1
-    for bend in BENDS:
-        change[count] = bend
-        way = changed.targets(change)
-        succeeded = [knees.succeeded(states) for states in knees.play([(start, way) for start in starts])].count(True)
-        report(f"{rise[0].name}, knees {bend:+.1f} rad: {knees.to} from {succeeded} of {len(starts)} falls")
-        if succeeded > most:
-            found, most = way, succeeded
-    return [*found, *rise[count:]]
+    first, *others = rise
+    tried = [knees.bent(first, bend) for bend in BENDS]
+    succeeded = [knees.successes(starts, [pose, *others[: count - 1]]).count(True) for pose in tried]
+    for bend, often in zip(BENDS, succeeded, strict=True):
+        report(f"{first.name}, knees {bend:+.1f} rad: {knees.to} from {often} of {len(starts)} falls")
+    return [tried[int(np.argmax(succeeded))], *others]
 
 
 def shortened(

@@ -23,7 +23,8 @@ TUNING, MANY = 12, 32  # iterations from many starts, so many
 ROUNDS = 6  # searches, at most
 STARTS = 6  # falls of the first search; the others check its motion
 PASSED = 0.9  # least share of the checks
-LOST = 0.5  # share of failed checks above which a search begins anew
+LOST = 0.5  # share of failed checks above which a search with a positive cost restarts
+NARROW = 0.4  # spread of a search near a known motion, relative to a first one
 TIME = 0.1  # cost of a motion's duration [1/s]
 SETTLED, WAITED = 0.02, 5  # a search ends if it improves less in iterations
 SLOWEST = (0.2, 1.5)  # of a motion to a key pose [s]
@@ -77,6 +78,10 @@ class Search(ABC):
         """Return the states after each key pose, and those onward, for each motion."""
         return self.rollouts.play([(start, [*targets, *self._onward]) for start, targets in motions])
 
+    def successes(self, starts: Sequence[Fallen], targets: Sequence[Target]) -> list[bool]:
+        """Return for each start whether the motion ends as it should."""
+        return [self.succeeded(states) for states in self.play([(start, targets) for start in starts])]
+
     def costs(self, vectors: FloatArray, starts: Sequence[Fallen]) -> FloatArray:
         """Return the costs (k, s) of vectors (k, m)."""
         motions = [(start, self.targets(vector)) for vector in vectors for start in starts]
@@ -99,36 +104,40 @@ class Cloud(NamedTuple):
     least: float = np.inf
 
 
+def _around(mean: FloatArray, spread: FloatArray) -> Cloud:
+    """Return the cloud that a search starts from."""
+    return Cloud(mean, spread, mean)
+
+
 def find(search: Search, falls: Sequence[Fallen], seed: int, report: Report) -> list[Target]:
     """Return a motion's key poses; raises ``NoMotionFoundError``.
 
-    The best of several short searches continues. While it fails from most checks, others begin anew.
+    The best of several short searches continues. If its motion fails from most checks, the search restarts.
     """
     rng, falls = np.random.default_rng(seed), usable(falls, search.start)
-    starts, checks = [*falls[:STARTS]], falls[STARTS:]
+    first, checks = falls[:STARTS], falls[STARTS:]
     if not checks:
         raise NoMotionFoundError(
             f"{search.robot.name}: {len(falls)} falls to search a motion to {search.to}; expected more than {STARTS}"
         )
-    cloud = first = Cloud(search.mean, search.spread, search.mean)
-    anew = True
+    starts, cloud = [*first], None
     for _ in range(ROUNDS):
-        if anew:
-            clouds = [
-                _optimised(search, first, falls[:STARTS], rng, iterations=SHORT, report=report) for _ in range(TRIED)
-            ]
-            best = min(clouds, key=lambda tried: tried.least)
-            cloud = _optimised(search, best, falls[:STARTS], rng, iterations=ITERATIONS, report=report)
+        if cloud is None:
+            start = _around(search.mean, search.spread)
+            tried = [_optimised(search, start, first, rng, iterations=SHORT, report=report) for _ in range(TRIED)]
+            best = min(tried, key=lambda cloud: cloud.least)
+            cloud = _optimised(search, best, first, rng, iterations=ITERATIONS, report=report)
         else:
-            cloud = Cloud(cloud.best, 0.4 * search.spread, cloud.best)
-            cloud = _optimised(search, cloud, starts, rng, iterations=LATER, report=report)
+            near = _around(cloud.best, NARROW * search.spread)
+            cloud = _optimised(search, near, starts, rng, iterations=LATER, report=report)
         targets = search.targets(cloud.best)
-        results = search.play([(fall, targets) for fall in checks])
-        failed = [fall for fall, states in zip(checks, results, strict=True) if not search.succeeded(states)]
+        succeeded = search.successes(checks, targets)
+        failed = [fall for fall, success in zip(checks, succeeded, strict=True) if not success]
         report(f"{search.to}: succeeds from {len(checks) - len(failed)} of {len(checks)} falls")
         if len(failed) <= (1.0 - PASSED) * len(checks):
             return targets
-        anew = len(failed) > LOST * len(checks) and cloud.least > 0.0
+        if len(failed) > LOST * len(checks) and cloud.least > 0.0:
+            cloud = None
         starts += failed[: STARTS // 2]
     raise NoMotionFoundError(
         f"{search.robot.name}: the best motion found to {search.to} succeeds from {len(checks) - len(failed)} of "
@@ -138,7 +147,7 @@ def find(search: Search, falls: Sequence[Fallen], seed: int, report: Report) -> 
 
 def tuned(search: Search, starts: Sequence[Fallen], seed: int, report: Report) -> list[Target]:
     """Return the key poses near the search's mean that do best from many starts."""
-    cloud = Cloud(search.mean, 0.4 * search.spread, search.mean)
+    cloud = _around(search.mean, NARROW * search.spread)
     rng = np.random.default_rng(seed)
     return search.targets(_optimised(search, cloud, starts[:MANY], rng, iterations=TUNING, report=report).best)
 

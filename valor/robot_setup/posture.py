@@ -14,9 +14,7 @@ from valor.robot.legs import knee, pitch_joints
 from valor.robot.tables import SIDES
 
 HIP_RATIO = 0.884  # height of the hip over the ankle, relative to the straight leg's length: ESCHER's and THOR's
-SIDE_LEAN = (
-    0.36  # of a leg that ends a side step; by what ankle roll ends before, legs lean in the nominal posture [rad]
-)
+SIDE_LEAN = 0.36  # of a leg at the end of a side step; the nominal posture leans by what ankle roll lacks of it [rad]
 _ROUNDING = 1.5e-3  # of angles to 3 decimals, and of limits to 4 digits [rad]
 _REGULARIZATION = 1e-3  # weight that draws undetermined angles to their start
 
@@ -119,8 +117,9 @@ class Poser:
         length = float(np.mean([_length(map(self.anchor, pitch[side])) for side in SIDES]))
         apart = float(np.mean([abs(self.site(legs[side].site)[0][1]) for side in SIDES]))
         lean = max(0.0, SIDE_LEAN - min(self._side_lean(side, legs[side], pitch[side]) for side in SIDES))
-        step_width = 2 * max(apart, 1.17 * half_width)
-        apart = max(apart + length * np.sin(lean), 1.17 * half_width)
+        least = 1.17 * half_width
+        step_width = 2 * max(apart, least)
+        apart = max(apart + length * np.sin(lean), least)
         names = [name for side in SIDES for name in legs[side].joints]
         low, high = self.bounds(names)
         start = self._bent(names, knees, pitch)

@@ -145,7 +145,7 @@ def test_feet_stand_farther_apart_where_ankle_roll_ends_early(mirrored: bool, tm
     build = Build(mirrored=mirrored)
 
     def stance(inward: float, outward: float) -> Stance:
-        """Of a robot whose ankles let a leg lean so far [rad]."""
+        """Nominal posture of a robot whose ankles let a leg lean so far inward and outward [rad]."""
 
         def change(root: Root) -> None:
             for side in ("left", "right"):
